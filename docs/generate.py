@@ -19,9 +19,9 @@ from pydantic import BaseModel, TypeAdapter
 import zarm
 from zarm_cli.commands import command_line
 from zarm_contract import messages as every_message
-from zarm_contract.access import ROLES, SERVICE_ROLES, TABLE, Rights, rights
 from zarm_contract.errors import MEANINGS, Problem, ZarmError
-from zarm_contract.keys import Keys
+from zarm_contract.key import Key, Token
+from zarm_contract.keys import declared
 from zarm_contract.messages import (
     Message,
     Name,
@@ -44,6 +44,7 @@ from zarm_contract.robot import (
     RobotDescriptor,
     StrategyParams,
 )
+from zarm_contract.roles import EVERYONE, SERVICE_ROLES
 from zarm_runtime.settings import SETTINGS
 
 ROOT = Path(__file__).parents[1]
@@ -75,9 +76,6 @@ def keys() -> Iterator[str]:
         "the [roles](../how-to/secure-a-bus.md#who-may-do-what) that may send the request, or publish.",
         "",
     )
-    named = {name: _about(Keys, name) for name in TABLE} | {
-        name: _about(Keys, name) for name in ("health", "reread", "alive")
-    }
     headings = {
         "Planner": ("planner",),
         "Scene": ("scene",),
@@ -87,62 +85,24 @@ def keys() -> Iterator[str]:
         "Driver": ("driver", "leeloo_sim"),
         "Every service": ("<service>",),
     }
-    rows = [(_key(name), *about, _rights(name)) for name, about in named.items()]
+    keys = declared().values()
     for heading, owners in headings.items():
         yield from (f"## {heading}", "")
         yield from _table(
             ("key", "kind", "messages", "who", "what"),
             (
-                (f"`{key}`", _kind(right), _linked(messages), _who(right), what)
-                for key, messages, what, right in rows
-                if key.split("/")[0] in owners
+                (f"`{key.path}`", key.kind, _linked(key.messages), _who(key), key.about)
+                for key in keys
+                if key.path.split("/")[0] in owners
             ),
         )
 
 
-def _key(name: str) -> str:
-    arguments = {
-        "scene_object": ("<name>",),
-        "object_pose": ("<name>",),
-        "goal": ("<goal_id>",),
-        "health": ("<service>",),
-        "reread": ("<service>",),
-        "alive": ("<service>", "<instance>"),
-    }
-    made = getattr(Keys("any"), name)
-    return str(made(*arguments[name]) if callable(made) else made).removeprefix("zarm/any/")
-
-
-def _about(owner: type, name: str) -> tuple[str, str]:
-    """The messages of a key, and what it is for: the docstring of its property."""
-    member = getattr(owner, name)
-    text = inspect.getdoc(member.fget if isinstance(member, property) else member) or ""
-    messages, _, what = text.partition(". ")
-    return messages, what
-
-
-def _rights(name: str) -> Rights:
-    if name in TABLE:
-        return TABLE[name]
-    anywhere = rights()
-    some = next(iter(SERVICE_ROLES))
-    return anywhere[f"zarm/*/{some}/" + {"health": "health", "reread": "reread", "alive": "@alive/*"}[name]]
-
-
-def _kind(right: Rights) -> str:
-    if right.lives:
-        return "liveliness token"
-    everyone = len(right.asks) == len(ROLES) - 1
-    if right.latched:
-        return ("latched" if right.publishes else "query, readable") if everyone else "latched; query"
-    return "query" if right.answers else "publication"
-
-
-def _who(right: Rights) -> str:
-    if right.lives or (right.publishes and not right.answers):
-        who = right.lives or right.publishes
-        return "its service" if right.lives else ", ".join(who)
-    return "everyone" if len(right.asks) == len(ROLES) - 1 else ", ".join(right.asks)
+def _who(key: Key) -> str:
+    if isinstance(key, Token):
+        return "its service"
+    who = key.rights.asks or key.rights.publishes
+    return "everyone" if who == EVERYONE else ", ".join(who)
 
 
 def messages() -> Iterator[str]:

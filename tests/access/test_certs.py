@@ -13,8 +13,8 @@ from support.certificates import issue
 from support.command_line import the_one_line, zarm
 from support.harness import free_endpoint
 from zarm_cli.certificate_authority import Authority, hosts_of, load_certificate, today
-from zarm_contract.access import ROLES, Role
 from zarm_contract.errors import InvalidRequest
+from zarm_contract.roles import ROLES, Role
 from zarm_runtime.certificates import Certificates
 from zarm_runtime.security import RENEWAL_DAYS
 from zarm_runtime.session import open_client, open_router

@@ -45,12 +45,12 @@ def test_a_stop_gets_through_while_a_flood_keeps_newcomers_out(secured: Path, tm
         Bus(endpoint, role="executor") as executor,
         Bus(endpoint, role="viewer") as viewer,
     ):
-        executor.serve(KEYS.stop, Nothing, lambda _: Nothing())
+        executor.serve(KEYS.stop, lambda _: Nothing())
         flood = subprocess.Popen([sys.executable, FLOOD, *endpoint.removeprefix("tcp/").split(":")])
         try:
             eventually(lambda: not joins(endpoint, secured), "newcomers are kept out")
             for _ in range(100):
-                viewer.call(KEYS.stop, Nothing(), Nothing, timeout=5)
+                viewer.call(KEYS.stop, Nothing(), timeout=5)
             assert not joins(endpoint, secured)
         finally:
             flood.kill()

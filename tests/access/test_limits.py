@@ -13,7 +13,7 @@ from support.tiers import sampled
 from zarm_contract.codec import MAX_BYTES
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
-from zarm_contract.messages import Accepted, ExecuteRequest
+from zarm_contract.messages import ExecuteRequest
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import ROUTER_MAX_BYTES, open_client
 
@@ -70,4 +70,4 @@ def test_requests_and_answers_arrive_up_to_the_limit(endpoint: str) -> None:
 def test_a_request_that_no_router_would_pass_on_is_refused_at_once(endpoint: str) -> None:
     request = ExecuteRequest.model_construct(plan_id="p" * MAX_BYTES)
     with Bus(endpoint, role="operator") as bus, pytest.raises(InvalidRequest, match="over the limit"):
-        bus.call(KEYS.execute, request, Accepted, timeout=60)
+        bus.call(KEYS.execute, request, timeout=60)

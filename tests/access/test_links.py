@@ -28,12 +28,12 @@ def test_rights_hold_across_linked_routers(secured: Path, tmp_path: Path) -> Non
         Bus(near, role="operator") as operator,
         open_client(near, role="viewer") as viewer,
     ):
-        executor.serve(KEYS.pause, Nothing, lambda _: Nothing())
+        executor.serve(KEYS.pause, lambda _: Nothing())
         executor.declare_alive(KEYS.alive("executor", "one"))
 
         def paused() -> bool:
             try:
-                operator.call(KEYS.pause, Nothing(), Nothing, timeout=1)
+                operator.call(KEYS.pause, Nothing(), timeout=1)
             except Unavailable:
                 return False
             return True
@@ -58,7 +58,7 @@ def test_behind_a_router_with_the_certificate_of_a_viewer_everyone_is_a_viewer(s
         zenoh.open(config("client", behind)) as client,
     ):
         for key in (KEYS.pause, KEYS.stop):
-            executor.serve(key, Nothing, lambda _: Nothing())
+            executor.serve(key, lambda _: Nothing())
         eventually(lambda: answered(client, KEYS.stop), "the robot is stopped through it")
         assert not answered(client, KEYS.pause)
 

@@ -10,8 +10,10 @@ import pytest
 import zenoh
 
 from support.harness import eventually, free_endpoint
-from zarm_contract.access import ROLES, Rights, Role, reading, rights
+from zarm_contract.access import reading, rights
+from zarm_contract.key import Rights
 from zarm_contract.keys import client_token
+from zarm_contract.roles import ROLES, Role
 from zarm_runtime.session import open_client, open_router
 
 MEMBERS = tuple(role for role in ROLES if role != "router")

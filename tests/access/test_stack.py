@@ -20,7 +20,6 @@ from support.paths import EXAMPLES, ROOT
 from support.tiers import sampled
 from support.trajectories import patient
 from zarm_cli.certificate_authority import Authority, today
-from zarm_contract.access import Role
 from zarm_contract.codec import encode
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
@@ -28,20 +27,15 @@ from zarm_contract.messages import (
     ClearScene,
     DriverCommand,
     ExecuteRequest,
-    ExecutorState,
     JointGoal,
-    JointState,
     Nothing,
-    Plan,
     PlanRequest,
-    Scene,
     SceneEdit,
-    SceneEdited,
     Speed,
     Sphere,
-    Strategies,
     StrategyRequest,
 )
+from zarm_contract.roles import Role
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
 
@@ -90,7 +84,7 @@ def done(up: Up, *arguments: str, **variables: str) -> str:
 
 
 def joints(bus: Bus, up: Up) -> tuple[float, ...]:
-    state = bus.latest(up.keys.joint_states, JointState).wait(PATIENCE)
+    state = bus.latest(up.keys.joint_states).wait(PATIENCE)
     assert state is not None
     return state.position
 
@@ -109,10 +103,10 @@ def test_an_operator_plans_and_drives_the_robot_through_its_driver_and_emulated(
 
 def test_an_operator_changes_scene_and_speed_and_stops_the_robot(up: Up, operator: Bus) -> None:
     done(up, "scene", "add", "sphere", "ball", "--at", "0,-1,0.2", "--radius", "0.1")
-    assert [one.name for one in operator.read(up.keys.scene, Scene, timeout=5).objects] == ["ball"]
+    assert [one.name for one in operator.read(up.keys.scene, timeout=5).objects] == ["ball"]
     done(up, "scene", "clear")
     done(up, "speed", "0.5")
-    assert operator.read(up.keys.speed, Speed, timeout=5).speed_scale == 0.5
+    assert operator.read(up.keys.speed, timeout=5).speed_scale == 0.5
     done(up, "speed", "1")
     done(up, "stop")
 
@@ -130,7 +124,7 @@ def test_a_closed_loop_planner_streams_with_the_certificate_of_an_operator(up: U
 def test_a_driver_without_zarm_tells_its_joints_with_the_certificate_of_one(
     up: Up, operator: Bus, tmp_path: Path
 ) -> None:
-    told = operator.latest(Keys("other").driver_joint_states, JointState)
+    told = operator.latest(Keys("other").driver_joint_states)
     driver = subprocess.Popen(
         [*example("zenoh_driver.py", "driver", up, tmp_path), "--robot", "other", "--at", *map(str, HOME)]
     )
@@ -212,9 +206,9 @@ def test_a_viewer_is_told_at_once_what_it_may_not_do(up: Up, command: str) -> No
 @pytest.mark.parametrize("role", sampled("viewer", "planner", "driver", "executor"))
 def test_whoever_asks_without_zarm_is_not_answered_and_nothing_happens(up: Up, operator: Bus, role: Role) -> None:
     add = AddObjects(op="add", objects=(BALL,), replace=True)
-    operator.call(up.keys.scene_edit, SceneEdit(edit=add), SceneEdited, timeout=5)
-    operator.call(up.keys.plan, PlanRequest(goal=JointGoal(kind="joints", position=THERE)), Plan, timeout=PATIENCE)
-    where, scene = joints(operator, up), operator.read(up.keys.scene, Scene, timeout=5)
+    operator.call(up.keys.scene_edit, SceneEdit(edit=add), timeout=5)
+    operator.call(up.keys.plan, PlanRequest(goal=JointGoal(kind="joints", position=THERE)), timeout=PATIENCE)
+    where, scene = joints(operator, up), operator.read(up.keys.scene, timeout=5)
     with open_client(up.endpoint, role=role) as session:
         for key, message in (
             (up.keys.execute, ExecuteRequest()),
@@ -223,16 +217,16 @@ def test_whoever_asks_without_zarm_is_not_answered_and_nothing_happens(up: Up, o
             (up.keys.strategy, StrategyRequest(strategy="emulator")),
         ):
             assert not list(session.get(key, payload=encode(message), timeout=PATIENCE))
-    state = operator.read(up.keys.executor_state, ExecutorState, timeout=5)
+    state = operator.read(up.keys.executor_state, timeout=5)
     assert (state.mode, state.strategy, state.speed_scale) == ("idle", "joint_speed", 1.0)
-    assert operator.read(up.keys.scene, Scene, timeout=5) == scene
+    assert operator.read(up.keys.scene, timeout=5) == scene
     assert joints(operator, up) == pytest.approx(where, abs=1e-3)
 
 
 def test_the_driver_hears_commands_from_the_executor_alone(up: Up, operator: Bus) -> None:
     # By the emulator the executor moves, and commands nothing itself.
-    operator.call(up.keys.strategy, StrategyRequest(strategy="emulator"), Strategies, timeout=PATIENCE)
-    told = operator.latest(up.keys.driver_joint_states, JointState)
+    operator.call(up.keys.strategy, StrategyRequest(strategy="emulator"), timeout=PATIENCE)
+    told = operator.latest(up.keys.driver_joint_states)
     state = told.wait(PATIENCE)
     assert state is not None
     away = tuple(q + 0.5 for q in state.position)
@@ -256,7 +250,7 @@ def test_the_driver_hears_commands_from_the_executor_alone(up: Up, operator: Bus
         after = told.wait(PATIENCE)
         assert after is not None
         assert after.position == pytest.approx(state.position, abs=1e-3)
-    operator.call(up.keys.strategy, StrategyRequest(strategy="joint_speed"), Strategies, timeout=PATIENCE)
+    operator.call(up.keys.strategy, StrategyRequest(strategy="joint_speed"), timeout=PATIENCE)
 
 
 @pytest.mark.parametrize("role", sampled("operator", "viewer"))
@@ -271,7 +265,7 @@ def test_nobody_poses_as_the_executor(up: Up, operator: Bus, role: Role) -> None
         session.declare_queryable(up.keys.stop, catch, complete=True)
         session.liveliness().declare_token(up.keys.alive("executor", "0" * 15))
         list(session.get(up.keys.health("executor")))
-        assert operator.call(up.keys.stop, Nothing(), ExecutorState, timeout=5).mode == "idle"
+        assert operator.call(up.keys.stop, Nothing(), timeout=5).mode == "idle"
         assert len(operator.alive(up.keys.alive("executor", "*"))) == 1
     assert caught == []
 

@@ -9,9 +9,10 @@ import pytest
 import zenoh
 
 from support import router_file
-from zarm_contract.access import ROLES, SERVICE_ROLES, TABLE, access_control, require, rights
+from zarm_contract.access import access_control, require, rights
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
+from zarm_contract.roles import ROLES, SERVICE_ROLES
 from zarm_runtime.recorded import Recorded
 from zarm_runtime.session import router_config
 

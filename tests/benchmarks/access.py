@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.command_line import KEYS, Router, zarm
 from support.harness import PATIENCE, ServiceProcess, free_endpoint
 from support.planner.client import BEHIND_POST, HOME, POST, TABLE, load
-from zarm_contract.messages import DriverCommand, JointGoal, Plan, PlanRequest
+from zarm_contract.messages import DriverCommand, JointGoal, PlanRequest
 from zarm_runtime.bus import Bus
 
 POINTS = 8
@@ -49,13 +49,13 @@ class Side:
         planner.wait_ready(self._operator, KEYS)
         load(self._operator, TABLE, POST)
         driver.listen(KEYS.driver_command, lambda _key, _payload: self._arrived.set())
-        self._publisher = executor.publisher(KEYS.driver_command, DriverCommand, realtime=True)
+        self._publisher = executor.publisher(KEYS.driver_command)
 
     def plan(self) -> None:
         """One round trip."""
         request = PlanRequest(goal=JointGoal(kind="joints", position=BEHIND_POST), start=HOME, optimize_s=0)
         began = time.perf_counter()
-        plan = self._operator.call(KEYS.plan, request, Plan, timeout=PATIENCE)
+        plan = self._operator.call(KEYS.plan, request, timeout=PATIENCE)
         self.plans.append(time.perf_counter() - began)
         self.outside.append(self.plans[-1] - plan.timings.total)
 

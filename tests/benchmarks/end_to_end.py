@@ -30,12 +30,10 @@ from zarm_contract.messages import (
     Goal,
     JointGoal,
     LoadScene,
-    Plan,
     PlanRequest,
     PlanTimings,
     PoseGoal,
     SceneEdit,
-    SceneEdited,
 )
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.bus import Bus
@@ -88,16 +86,16 @@ def main() -> None:
 def run(bus: Bus, keys: Keys, problem: motion_bench.Problem, kind: str) -> tuple[float, ...] | None:
     """Round trip and stages (s) of one problem; None where it is refused."""
     edit = SceneEdit(edit=LoadScene(op="load", objects=problem.objects))
-    bus.call(keys.scene_edit, edit, SceneEdited, timeout=PATIENCE)
+    bus.call(keys.scene_edit, edit, timeout=PATIENCE)
     pose = problem.goal_poses[0]
     goal: Goal = JointGoal(kind="joints", position=problem.goals[0])
     if kind == "pose":
         goal = PoseGoal(kind="pose", position=pose.position, orientation=pose.orientation)
     request = PlanRequest(goal=goal, start=problem.start, optimize_s=0.0)
     try:
-        bus.call(keys.plan, request, Plan, timeout=PATIENCE)
+        bus.call(keys.plan, request, timeout=PATIENCE)
         began = time.perf_counter()
-        timings = bus.call(keys.plan, request, Plan, timeout=PATIENCE).timings
+        timings = bus.call(keys.plan, request, timeout=PATIENCE).timings
     except ZarmError:
         return None
     stages = [getattr(timings, stage) for stage in STAGES]

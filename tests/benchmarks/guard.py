@@ -32,7 +32,6 @@ from zarm_contract.messages import (
     PlanRequest,
     RemoveObjects,
     SceneEdit,
-    SceneEdited,
     Sphere,
 )
 from zarm_runtime.bus import Bus
@@ -73,7 +72,7 @@ def main(edits: int = 40, objects: int = 100) -> None:
             elif goal.hold is None:
                 free.set()
 
-        bus.subscribe(KEYS.goal("*"), GoalState, watch)
+        bus.subscribe(KEYS.goal("*"), watch)
         load(bus, *crowd(objects))
         delays, there = [], False
         while len(delays) < edits:
@@ -89,7 +88,7 @@ def main(edits: int = 40, objects: int = 100) -> None:
                 tip = link_pose(ROBOT, ROBOT.descriptor.tip_link, client.measured[-1].position)[:3, 3].tolist()
                 ball = Sphere(kind="sphere", name="ball", position=tuple(tip), radius=0.05)
                 add = SceneEdit(edit=AddObjects(op="add", objects=(ball,)))
-                bus.call(KEYS.scene_edit, add, SceneEdited, timeout=10)
+                bus.call(KEYS.scene_edit, add, timeout=10)
                 answered = time.perf_counter()
                 if held.wait(0.5):
                     delays.append(held_at[0] - answered)
@@ -97,7 +96,6 @@ def main(edits: int = 40, objects: int = 100) -> None:
                 bus.call(
                     KEYS.scene_edit,
                     SceneEdit(edit=RemoveObjects(op="remove", names=("ball",))),
-                    SceneEdited,
                     timeout=10,
                 )
                 free.wait(2.0)

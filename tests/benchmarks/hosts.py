@@ -35,14 +35,10 @@ from support.network.wire import Quality
 from support.trajectories import HOME, KEYS, moved, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import (
-    Accepted,
     CancelRequest,
     ExecuteRequest,
-    ExecutorState,
     GoalState,
     JointGoal,
-    Nothing,
-    Plan,
     PlanRequest,
 )
 from zarm_runtime.bus import Bus
@@ -136,21 +132,21 @@ def client(seconds: float) -> Seen:
     request = PlanRequest(goal=JointGoal(kind="joints", position=tuple(moved(1.0))), start=tuple(HOME))
     with Bus(LOCAL) as bus:
         bus.listen(KEYS.joint_states, lambda _, payload: joints.append((time.time(), payload)))
-        bus.subscribe(KEYS.goal("*"), GoalState, lambda _, goal: states.append((time.monotonic(), goal)))
+        bus.subscribe(KEYS.goal("*"), lambda _, goal: states.append((time.monotonic(), goal)))
         eventually(lambda: joints, "joints are told")
-        began, before = time.monotonic(), bus.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=PATIENCE)
+        began, before = time.monotonic(), bus.read(KEYS.executor_state, timeout=PATIENCE)
         for _ in range(GOALS):
-            planned += [timed(lambda: bus.call(KEYS.plan, request, Plan, timeout=PATIENCE)) for _ in range(PLANS)]
+            planned += [timed(lambda: bus.call(KEYS.plan, request, timeout=PATIENCE)) for _ in range(PLANS)]
             where = np.array(json.loads(joints[-1][1])["position"])
             target = HOME if np.max(np.abs(where - HOME)) > 0.5 else moved(1.0, -0.5, 0.3)
             motion = ExecuteRequest(trajectory=rest_to_rest(target, where, slower=2.0))
-            executed.append(timed(lambda motion=motion: bus.call(KEYS.execute, motion, Accepted, timeout=PATIENCE)))
+            executed.append(timed(lambda motion=motion: bus.call(KEYS.execute, motion, timeout=PATIENCE)))
             time.sleep(seconds / GOALS)
-            cancelled.append(timed(lambda: bus.call(KEYS.cancel, CancelRequest(), ExecutorState, timeout=PATIENCE)))
+            cancelled.append(timed(lambda: bus.call(KEYS.cancel, CancelRequest(), timeout=PATIENCE)))
             eventually(lambda: states[-1][1].done, "the goal has ended")
             time.sleep(0.2)  # until the joints at rest have come
         took = time.monotonic() - began
-        after = bus.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=PATIENCE)
+        after = bus.read(KEYS.executor_state, timeout=PATIENCE)
     running = [
         (later - at)
         for (at, one), (later, other) in itertools.pairwise(states)
@@ -189,7 +185,7 @@ def reconnected(pair: Hosts, cut: float) -> tuple[float, float]:
 
     def answer() -> bool:
         with suppress(Unavailable):
-            return bool(bus.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=0.2))
+            return bool(bus.read(KEYS.executor_state, timeout=0.2))
         return False
 
     eventually(answer, "the executor answers")

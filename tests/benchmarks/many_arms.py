@@ -36,14 +36,10 @@ from support.paths import PROGRAMS
 from support.trajectories import HOME, moved
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
-    Accepted,
     CancelRequest,
     ExecuteRequest,
-    ExecutorState,
     GoalState,
     JointGoal,
-    Nothing,
-    Plan,
     PlanRequest,
 )
 from zarm_runtime.bus import Bus
@@ -151,7 +147,7 @@ def measure(
         def plan(arm: Arm) -> tuple[float, str]:
             target = BACK if np.max(np.abs(told[arm.keys.robot] - BACK)) > 0.3 else AWAY
             request = PlanRequest(goal=JointGoal(kind="joints", position=tuple(target)), velocity_scale=0.4)
-            took, found = timed(lambda: bus.call(arm.keys.plan, request, Plan, timeout=PATIENCE))
+            took, found = timed(lambda: bus.call(arm.keys.plan, request, timeout=PATIENCE))
             return took, found.plan_id
 
         planned, plans = each(plan)
@@ -159,7 +155,7 @@ def measure(
 
         def execute(arm: Arm) -> tuple[float, str]:
             request = ExecuteRequest(plan_id=known[arm.keys.robot])
-            took, accepted = timed(lambda: bus.call(arm.keys.execute, request, Accepted, timeout=PATIENCE))
+            took, accepted = timed(lambda: bus.call(arm.keys.execute, request, timeout=PATIENCE))
             return took, accepted.goal_id
 
         executed, moving = each(execute)
@@ -168,11 +164,7 @@ def measure(
         asked = []
         while time.monotonic() - began < seconds:
             for arm in arms:
-                asked.append(
-                    timed(
-                        lambda arm=arm: bus.call(arm.keys.executor_state, Nothing(), ExecutorState, timeout=PATIENCE)
-                    )[0]
-                )  # type: ignore[misc]
+                asked.append(timed(lambda arm=arm: bus.read(arm.keys.executor_state, timeout=PATIENCE))[0])  # type: ignore[misc]
                 time.sleep(0.02 / len(arms))
         heard = hear()
         ended, after, everything_after = time.monotonic(), cpu_times(arms, router), psutil.cpu_times()
@@ -181,7 +173,7 @@ def measure(
             cancelled.append(
                 timed(
                     lambda arm=arm, goal_id=goal_id: bus.call(
-                        arm.keys.cancel, CancelRequest(goal_id=goal_id), ExecutorState, timeout=PATIENCE
+                        arm.keys.cancel, CancelRequest(goal_id=goal_id), timeout=PATIENCE
                     )
                 )[0]
             )  # type: ignore[misc]

@@ -37,7 +37,6 @@ from zarm_contract.messages import (
     Plan,
     PlanRequest,
     SceneEdit,
-    SceneEdited,
     SceneObject,
     Sphere,
 )
@@ -81,7 +80,7 @@ class Insertions:
         self.random = np.random.default_rng(seed)
         self.tally = Tally()
         self.told: list[tuple[float, GoalTrajectory]] = []
-        bus.subscribe(KEYS.goal_trajectory, GoalTrajectory, lambda _, said: self.told.append((time.time(), said)))
+        bus.subscribe(KEYS.goal_trajectory, lambda _, said: self.told.append((time.time(), said)))
 
     def scene(self) -> list[SceneObject]:
         """Small boxes around the robot."""
@@ -132,7 +131,7 @@ class Insertions:
         self.client.under_way(goal, self.random.uniform(0.05, 0.4))
         ball = self.ball(path)
         add = SceneEdit(edit=AddObjects(op="add", objects=(ball,)))
-        self.bus.call(KEYS.scene_edit, add, SceneEdited, timeout=20)
+        self.bus.call(KEYS.scene_edit, add, timeout=20)
         answered = time.time()
         last = self.client.ended(goal)
         return self.judge(last.status, goal, boxes, ball, answered)

@@ -47,7 +47,7 @@ GOALS = [moved(0.6, 0.2), moved(-0.5, 0.3, -0.2), moved(0.2, -0.3, 0.4, 0.5), mo
 def ready_made(bus: Bus) -> Iterator[str]:
     """The name of a service that answers at once, with as many points as a plan has."""
     goal = m.JointGoal(kind="joints", position=tuple(GOALS[0].tolist()))
-    plan = bus.call(KEYS.plan, m.PlanRequest(goal=goal, start=tuple(HOME.tolist())), m.Plan, timeout=30)
+    plan = bus.call(KEYS.plan, m.PlanRequest(goal=goal, start=tuple(HOME.tolist())), timeout=30)
     points = round(plan.trajectory.duration / ROBOT.descriptor.interpolation_dt) + 1
     program = [sys.executable, str(PROGRAMS / "ros_ready_made.py"), "/ready_made", str(points)]
     process = subprocess.Popen([*program, *ROBOT.descriptor.joints])
@@ -82,7 +82,7 @@ def plans(bus: Bus, ros: RosClient, ready: Client, count: int) -> tuple[list[flo
         )
         asked = TrajectoryGeneration.Request(start_pose=start, target_joint_positions=goal)
         began = time.perf_counter()
-        bus.call(KEYS.plan, request, m.Plan, timeout=30)
+        bus.call(KEYS.plan, request, timeout=30)
         between = time.perf_counter()
         answered = answer(client.call_async(asked), "the bridge plans")
         after = time.perf_counter()
@@ -98,7 +98,7 @@ def plans(bus: Bus, ros: RosClient, ready: Client, count: int) -> tuple[list[flo
 def joint_states(bus: Bus, ros: RosClient, rate: float, seconds: float) -> tuple[list[float], int]:
     """Latencies (s) of joint states from a driver on ROS to a client on Zenoh, and how many were sent."""
     arrived: list[float] = []
-    bus.subscribe(KEYS.driver_joint_states, m.JointState, lambda _, state: arrived.append(time.time() - state.stamp))
+    bus.subscribe(KEYS.driver_joint_states, lambda _, state: arrived.append(time.time() - state.stamp))
     publisher = ros.node.create_publisher(RosJointState, "/dsr01/joint_states", 10)
     eventually(publisher.get_subscription_count, "the bridge listens")
     sent, deadline = int(rate * seconds), time.monotonic()

@@ -38,7 +38,6 @@ from zarm_contract.messages import (
     PlanRequest,
     PlanTimings,
     SceneEdit,
-    SceneEdited,
     SceneObject,
 )
 from zarm_geometry.exact import ExactScene
@@ -153,7 +152,7 @@ def over_router(folder: Path, problems: list[motion_bench.Problem], plans: int) 
         clients = [ProcessPoolExecutor(1, spawn, _connect, (endpoint,)) for _ in range(max(spent))]
         for problem in problems:
             edit = SceneEdit(edit=LoadScene(op="load", objects=problem.objects))
-            bus.call(keys.scene_edit, edit, SceneEdited, timeout=PATIENCE)
+            bus.call(keys.scene_edit, edit, timeout=PATIENCE)
             asked = requests(problem, plans)
             for client in clients:
                 client.submit(_ask, asked[:1]).result()
@@ -186,7 +185,7 @@ def _ask(asked: list[PlanRequest]) -> int:
     def call(request: PlanRequest) -> Plan:
         if _bus is None:
             raise RuntimeError("this client has no session")
-        return _bus.call(Keys(ROBOT).plan, request, Plan, timeout=PATIENCE)
+        return _bus.call(Keys(ROBOT).plan, request, timeout=PATIENCE)
 
     return answers(call, asked)
 

@@ -26,7 +26,7 @@ from support.planner.client import load
 from support.trajectories import HOME, KEYS, ROBOT
 from zarm.servoing import PERIOD
 from zarm_contract.errors import ZarmError
-from zarm_contract.messages import Cuboid, JointGoal, Plan, PlanRequest
+from zarm_contract.messages import Cuboid, JointGoal, PlanRequest
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.bus import Bus
 
@@ -98,7 +98,7 @@ def ask(bus: Bus, planned: list[int], over: threading.Event) -> None:
         goal = JointGoal(kind="joints", position=(1.5 if seed % 2 else -1.5, *HOME[1:].tolist()))
         with suppress(ZarmError):
             request = PlanRequest(goal=goal, start=tuple(HOME.tolist()), seed=seed, optimize_s=0.2)
-            bus.call(KEYS.plan, request, Plan, timeout=10.0)
+            bus.call(KEYS.plan, request, timeout=10.0)
             planned[0] += 1
 
 

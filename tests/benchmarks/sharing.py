@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.harness import PATIENCE, ServiceProcess, router
 from support.planner.client import BEHIND_FENCE, BEHIND_POST, FENCE, HOME, KEYS, POST, load, to_joints
 from zarm_contract.errors import Busy, ZarmError
-from zarm_contract.messages import Plan, PlanRequest, WaypointsGoal
+from zarm_contract.messages import PlanRequest, WaypointsGoal
 from zarm_runtime.bus import Bus
 
 SETTLED = 3.0
@@ -71,7 +71,7 @@ def wait(bus: Bus) -> tuple[float, int]:
     began, refused = time.perf_counter(), 0
     while True:
         try:
-            bus.call(KEYS.plan, MODEST, Plan, timeout=PATIENCE)
+            bus.call(KEYS.plan, MODEST, timeout=PATIENCE)
         except Busy:
             refused += 1
             time.sleep(0.05)
@@ -103,7 +103,7 @@ def ask_for_ever(endpoint: str, request: PlanRequest) -> None:
         def ask() -> None:
             while True:
                 try:
-                    bus.call(KEYS.plan, request, Plan, timeout=2 * PATIENCE)
+                    bus.call(KEYS.plan, request, timeout=2 * PATIENCE)
                 except ZarmError:
                     time.sleep(0.05)
 

@@ -40,12 +40,8 @@ from support.trajectories import KEYS, descriptor_at, moved, rest_to_rest
 from zarm_contract.codec import decode
 from zarm_contract.errors import ExecutionRefused
 from zarm_contract.messages import (
-    Accepted,
     DriverCommand,
     ExecuteRequest,
-    ExecutorState,
-    Nothing,
-    Plan,
     PlanRequest,
     Trajectory,
 )
@@ -147,7 +143,7 @@ def measure(case: Case, seconds: float, bus: Bus, endpoint: str, folder: Path, p
         hear = stack.enter_context(listening(endpoint, case.realtime))
         plans: list[float] = []
         if case.planner:
-            bus.subscribe(KEYS.plans, Plan, lambda *_: plans.append(time.monotonic()))
+            bus.subscribe(KEYS.plans, lambda *_: plans.append(time.monotonic()))
             stack.enter_context(beside(ask_for_plans, endpoint))
             eventually(lambda: len(plans) > CLIENTS, "the planner is at work")
         slow = rest_to_rest(moved(1.0, -0.5, 0.5), slower=10 * (seconds + WARM_UP), dt=0.1)
@@ -156,7 +152,7 @@ def measure(case: Case, seconds: float, bus: Bus, endpoint: str, folder: Path, p
         began, before, planned_before = time.monotonic(), cpu_time(executor), cpu_time(planner)
         time.sleep(seconds)
         ended, after, planned_after = time.monotonic(), cpu_time(executor), cpu_time(planner)
-        mode = bus.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=PATIENCE).mode
+        mode = bus.read(KEYS.executor_state, timeout=PATIENCE).mode
         heard = hear()
     written = np.load(notes)
     deadline, start, work = written["ticks"].T
@@ -179,7 +175,7 @@ def measure(case: Case, seconds: float, bus: Bus, endpoint: str, folder: Path, p
 def started(bus: Bus, trajectory: Trajectory) -> bool:
     """Start a motion; not while the driver is too late with its joints."""
     try:
-        bus.call(KEYS.execute, ExecuteRequest(trajectory=trajectory), Accepted, timeout=PATIENCE)
+        bus.call(KEYS.execute, ExecuteRequest(trajectory=trajectory), timeout=PATIENCE)
     except ExecutionRefused:
         return False
     return True

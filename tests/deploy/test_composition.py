@@ -18,7 +18,7 @@ from support.deploy.composition import SERVICES, Composition, docker
 from support.executor.client import Client
 from support.trajectories import HOME, KEYS, moved, rest_to_rest
 from zarm_contract.keys import Keys
-from zarm_contract.messages import Health, JointState, Nothing, Scene, Strategies
+from zarm_contract.messages import Nothing, Scene
 from zarm_contract.robot import ROBOTS
 from zarm_runtime.bus import Bus
 
@@ -44,13 +44,13 @@ def bus(robot: Composition) -> Iterator[Bus]:
 
 
 def joints(bus: Bus, keys: Keys = KEYS) -> np.ndarray:
-    state = bus.latest(keys.joint_states, JointState).wait(10)
+    state = bus.latest(keys.joint_states).wait(10)
     assert state is not None
     return np.array(state.position)
 
 
 def scene(bus: Bus) -> Scene:
-    return bus.call(KEYS.scene, Nothing(), Scene, timeout=10)
+    return bus.read(KEYS.scene, timeout=10)
 
 
 def go(robot: Composition, joint_1: float) -> None:
@@ -130,13 +130,13 @@ def test_a_robot_in_motion_is_brought_to_rest_before_its_container_stops(robot: 
 
 def test_the_simulated_driver_is_moved_over_ros(robot: Composition, bus: Bus) -> None:
     robot.up(profile="sim", ZARM_STRATEGY="joint_speed")
-    strategies = bus.call(KEYS.strategy, Nothing(), Strategies, timeout=10)
+    strategies = bus.read(KEYS.strategy, timeout=10)
     assert strategies.active == "joint_speed"
     before = joints(bus)[0]
     go(robot, before + 0.3)
     assert joints(bus)[0] == pytest.approx(before + 0.3, abs=0.01)
     robot.crash("executor")
-    assert bus.call(KEYS.strategy, Nothing(), Strategies, timeout=10).active == "joint_speed"
+    assert bus.read(KEYS.strategy, timeout=10).active == "joint_speed"
     robot.compose("--profile", "sim", "rm", "-sf", "leeloo_sim")
 
 
@@ -151,7 +151,7 @@ def test_another_robot_and_one_of_the_users_own_are_a_setting_away(
     for setting, name in (("ur5e", "ur5e"), ("/robots/mine.yaml", "mine")):
         robot.up(ZARM_ROBOT=setting, ZARM_ROBOTS=str(tmp_path))
         keys = Keys(name)
-        assert bus.call(keys.health("planner"), Nothing(), Health, timeout=10).ready
+        assert bus.call(keys.health("planner"), Nothing(), timeout=10).ready
         target = joints(bus, keys) + 0.1
         robot.zarm("execute", "--name", name, "--joints", ",".join(map(str, target)))
         np.testing.assert_allclose(joints(bus, keys), target, atol=1e-3)

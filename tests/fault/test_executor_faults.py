@@ -17,7 +17,7 @@ from support.executor.client import Client, distance_from
 from support.harness import PATIENCE, ServiceProcess, eventually, free_endpoint
 from support.trajectories import HOME, KEYS, ROBOT, descriptor_at, moved, rest_to_rest
 from zarm_contract.errors import Busy, Unavailable
-from zarm_contract.messages import Accepted, ExecuteRequest, ExecutorState, Nothing
+from zarm_contract.messages import ExecuteRequest, ExecutorState, Nothing
 from zarm_executor.machine import STALL_LIMIT
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_router
@@ -136,7 +136,7 @@ def test_what_was_asked_of_it_long_ago_while_it_was_frozen_does_not_start(
     os.kill(executor.process.pid, signal.SIGSTOP)
     late = ExecuteRequest(trajectory=rest_to_rest(moved(0.1)), goal_id="late")
     with pytest.raises(Unavailable):
-        bus.call(KEYS.execute, late, Accepted, timeout=GIVEN_UP)
+        bus.call(KEYS.execute, late, timeout=GIVEN_UP)
     os.kill(executor.process.pid, signal.SIGCONT)
 
     def executed() -> str | None:
@@ -160,7 +160,7 @@ def test_to_go_on_asked_of_it_long_ago_while_it_was_frozen_moves_nothing(
     held = client.position()
     os.kill(executor.process.pid, signal.SIGSTOP)
     with pytest.raises(Unavailable):
-        bus.call(KEYS.resume, Nothing(), ExecutorState, timeout=GIVEN_UP)
+        bus.call(KEYS.resume, Nothing(), timeout=GIVEN_UP)
     os.kill(executor.process.pid, signal.SIGCONT)
     seen = len(client.measured)
     eventually(lambda: len(client.measured) > seen + 50, "it tells its joints again")

@@ -22,7 +22,7 @@ from support.faults.ordeal import Fault, Promise, endure
 from support.faults.wall_clock import STEPPABLE
 from support.harness import PATIENCE, ServiceProcess, eventually
 from support.trajectories import HOME, ROBOT, rest_to_rest
-from zarm_contract.messages import DriverFault, ExecuteRequest, JointGoal, JointState, Plan, PlanRequest
+from zarm_contract.messages import DriverFault, ExecuteRequest, JointGoal, JointState, PlanRequest
 from zarm_executor.machine import STALL_LIMIT
 from zarm_leeloo_sim.player import CEILING
 from zarm_runtime.bus import Bus
@@ -89,7 +89,7 @@ def planner_killed(place: Arena) -> Iterator[str | None]:
         planner.wait_ready(place.bus, place.keys)
         start, goal = (tuple(place.motion().position[row]) for row in (0, -1))
         request = PlanRequest(goal=JointGoal(kind="joints", position=goal), start=start)
-        plan = place.bus.call(place.keys.plan, request, Plan, timeout=PATIENCE)
+        plan = place.bus.call(place.keys.plan, request, timeout=PATIENCE)
         yield place.client.execute(plan_id=plan.plan_id)
         planner.kill()
         yield None
@@ -237,8 +237,8 @@ def other_order(place: Arena) -> Iterator[str | None]:
 
     yield place.go()
     with Bus(place.endpoint) as mouth, Bus(place.endpoint) as ear:
-        again = mouth.publisher(place.keys.driver_joint_states, JointState, realtime=True)
-        ear.subscribe(place.keys.driver_joint_states, JointState, turn)
+        again = mouth.publisher(place.keys.driver_joint_states)
+        ear.subscribe(place.keys.driver_joint_states, turn)
         yield None
         with lock:
             ended.set()

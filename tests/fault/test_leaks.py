@@ -11,7 +11,6 @@ from support.executor.client import Client
 from support.harness import ServiceProcess, eventually
 from support.resources import burden
 from support.trajectories import HOME, KEYS, moved, rest_to_rest
-from zarm_contract.messages import ExecutorState, JointState, Nothing
 from zarm_runtime.bus import Bus
 
 pytestmark = pytest.mark.slow
@@ -45,8 +44,8 @@ def test_goals_cancels_switches_and_clients_leave_nothing_behind(bus: Bus, endpo
         def clients(count: int) -> None:
             for _ in range(count):
                 with Bus(endpoint) as other:
-                    joints = other.latest(KEYS.joint_states, JointState)
-                    assert other.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=10).mode == "idle"
+                    joints = other.latest(KEYS.joint_states)
+                    assert other.read(KEYS.executor_state, timeout=10).mode == "idle"
                     assert joints.wait(10) is not None
 
         def everything(part: Callable[[int], int]) -> None:

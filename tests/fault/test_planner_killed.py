@@ -16,7 +16,6 @@ from zarm_contract.messages import (
     Plan,
     PlanRequest,
     SceneEdit,
-    SceneEdited,
 )
 from zarm_runtime.bus import Bus
 
@@ -26,7 +25,7 @@ def test_a_client_whose_planner_is_killed_during_its_plan_gets_unavailable_long_
 ) -> None:
     with ServiceProcess("planner", endpoint, tmp_path) as planner, ThreadPoolExecutor(1) as client:
         planner.wait_ready(bus, KEYS)
-        bus.call(KEYS.scene_edit, SceneEdit(edit=AddObjects(op="add", objects=FENCE)), SceneEdited, timeout=10)
+        bus.call(KEYS.scene_edit, SceneEdit(edit=AddObjects(op="add", objects=FENCE)), timeout=10)
         request = PlanRequest(goal=to_joints(*BEHIND_FENCE), start=HOME, timeout=60.0)
         with Bus(endpoint) as other:
             before = psutil.Process(planner.process.pid).cpu_times().user

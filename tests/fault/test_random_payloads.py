@@ -241,7 +241,7 @@ def test_the_executor_and_the_driver_take_any_payload_and_the_robot_stands(
         assert sent > 0.8 * COUNT
         for service, process in (("executor", robot.executor), ("leeloo_sim", robot.driver)):
             assert process.process.poll() is None
-            health = bus.call(KEYS.health(service), m.Nothing(), m.Health, timeout=PATIENCE)
+            health = bus.call(KEYS.health(service), m.Nothing(), timeout=PATIENCE)
             assert health.pid == process.process.pid
         np.testing.assert_array_equal(robot.at_rest(), first)
         mine = [state for state in robot.told if state.joint_names == told.joint_names and not any(state.velocity)]
@@ -260,18 +260,16 @@ def test_the_executor_and_the_driver_take_any_payload_and_the_robot_stands(
 def test_the_planner_takes_any_payload_and_plans_afterwards(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     with ServiceProcess("planner", endpoint, tmp_path) as planner:
         planner.wait_ready(bus, KEYS)
-        settings = bus.call(KEYS.settings, m.SettingsChange(), m.PlannerSettings, timeout=PATIENCE)
+        settings = bus.call(KEYS.settings, m.SettingsChange(), timeout=PATIENCE)
         on_torch = m.FkRequest(joints=rows(np.zeros((1, 6))), device="cpu")
-        bus.call(
-            KEYS.fk, on_torch, m.FkPoses, timeout=PATIENCE
-        )  # a payload may, by chance, be the first to load torch: 200 MB
+        bus.call(KEYS.fk, on_torch, timeout=PATIENCE)  # a payload may, by chance, be the first to load torch: 200 MB
         assert shout(PLANNER, endpoint, Sizes(planner)) > 0.8 * COUNT
-        health = bus.call(KEYS.health("planner"), m.Nothing(), m.Health, timeout=PATIENCE)
+        health = bus.call(KEYS.health("planner"), m.Nothing(), timeout=PATIENCE)
         assert health.ready
         assert health.pid == planner.process.pid
         back = m.SettingsChange(**settings.model_dump())
-        assert bus.call(KEYS.settings, back, m.PlannerSettings, timeout=PATIENCE) == settings
+        assert bus.call(KEYS.settings, back, timeout=PATIENCE) == settings
         empty = m.SceneEdit(edit=m.LoadScene(op="load", objects=()))
-        assert bus.call(KEYS.scene_edit, empty, m.SceneEdited, timeout=PATIENCE).count == 0
-        made = bus.call(KEYS.plan, FREE.model_copy(update={"timeout": 10.0}), m.Plan, timeout=PATIENCE)
+        assert bus.call(KEYS.scene_edit, empty, timeout=PATIENCE).count == 0
+        made = bus.call(KEYS.plan, FREE.model_copy(update={"timeout": 10.0}), timeout=PATIENCE)
         np.testing.assert_allclose(made.trajectory.position[-1], moved(0.3), atol=1e-6)

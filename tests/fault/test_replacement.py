@@ -17,16 +17,10 @@ from support.resources import favour
 from support.trajectories import HOME, KEYS, moved, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, Unavailable
 from zarm_contract.messages import (
-    FkPoses,
     FkRequest,
-    Health,
     Nothing,
-    PlannerSettings,
     PlanRequest,
-    Scene,
-    SceneEdited,
     SettingsChange,
-    Strategies,
     StrategyRequest,
 )
 from zarm_runtime.bus import Bus
@@ -50,20 +44,18 @@ def test_a_planner_is_replaced_while_the_robot_moves_and_clients_ask(
         old = stack.enter_context(ServiceProcess("planner", endpoint, tmp_path))
         old.wait_ready(bus, KEYS)
         loaded = load(bus, TABLE, POST)
-        scene = bus.call(KEYS.scene, Nothing(), Scene, timeout=PATIENCE)
-        settings = bus.call(KEYS.settings, SettingsChange(), PlannerSettings, timeout=PATIENCE)
+        scene = bus.read(KEYS.scene, timeout=PATIENCE)
+        settings = bus.call(KEYS.settings, SettingsChange(), timeout=PATIENCE)
         fk = FkRequest(joints=(tuple(HOME.tolist()),))
-        tip = bus.call(KEYS.fk, fk, FkPoses, timeout=PATIENCE)
+        tip = bus.call(KEYS.fk, fk, timeout=PATIENCE)
         way = PlanRequest(start=tuple(HOME.tolist()), goal=to_joints(*BEHIND_POST))
         askers = stack.enter_context(
             asking(
                 plan=lambda: plan(bus, way).scene_revision == loaded.revision,
-                scene=lambda: bus.call(KEYS.scene, Nothing(), Scene, timeout=PATIENCE) == scene,
-                revision=lambda: bus.call(KEYS.scene_revision, Nothing(), SceneEdited, timeout=PATIENCE) == loaded,
-                settings=lambda: (
-                    bus.call(KEYS.settings, SettingsChange(), PlannerSettings, timeout=PATIENCE) == settings
-                ),
-                fk=lambda: bus.call(KEYS.fk, fk, FkPoses, timeout=PATIENCE) == tip,
+                scene=lambda: bus.read(KEYS.scene, timeout=PATIENCE) == scene,
+                revision=lambda: bus.read(KEYS.scene_revision, timeout=PATIENCE) == loaded,
+                settings=lambda: bus.call(KEYS.settings, SettingsChange(), timeout=PATIENCE) == settings,
+                fk=lambda: bus.call(KEYS.fk, fk, timeout=PATIENCE) == tip,
             )
         )
         made = plan(bus, way)
@@ -91,9 +83,7 @@ def test_an_executor_brakes_before_it_is_replaced_and_the_robot_stays_where_it_i
         askers = stack.enter_context(
             asking(
                 state=lambda: client.state().strategy == "emulator",
-                strategy=lambda: (
-                    bus.call(KEYS.strategy, StrategyRequest(), Strategies, timeout=PATIENCE).active == "emulator"
-                ),
+                strategy=lambda: bus.call(KEYS.strategy, StrategyRequest(), timeout=PATIENCE).active == "emulator",
                 speed=lambda: client.speed() == 1.0,
             )
         )
@@ -135,7 +125,7 @@ def test_a_driver_is_replaced_while_the_robot_rests_and_the_executor_goes_on(
 
 
 def _available(bus: Bus) -> bool:
-    strategies = bus.call(KEYS.strategy, StrategyRequest(), Strategies, timeout=PATIENCE).strategies
+    strategies = bus.call(KEYS.strategy, StrategyRequest(), timeout=PATIENCE).strategies
     return any(one.available for one in strategies if one.name == "joint_speed")
 
 
@@ -148,11 +138,11 @@ def test_a_router_is_replaced_while_the_robot_moves_and_everybody_finds_the_new_
         services = [stack.enter_context(ServiceProcess(name, endpoint, tmp_path)) for name in ("planner", "executor")]
         before = [service.wait_ready(bus, KEYS) for service in services]
         load(bus, TABLE, POST)
-        scene = bus.call(KEYS.scene, Nothing(), Scene, timeout=PATIENCE)
+        scene = bus.read(KEYS.scene, timeout=PATIENCE)
         client = Client(bus)
         askers = stack.enter_context(
             asking(
-                scene=lambda: bus.call(KEYS.scene, Nothing(), Scene, timeout=PATIENCE) == scene,
+                scene=lambda: bus.read(KEYS.scene, timeout=PATIENCE) == scene,
                 state=lambda: client.state().strategy == "emulator",
             )
         )
@@ -171,8 +161,7 @@ def test_a_router_is_replaced_while_the_robot_moves_and_everybody_finds_the_new_
 def _instances(bus: Bus) -> set[str] | None:
     try:
         return {
-            bus.call(KEYS.health(service), Nothing(), Health, timeout=PATIENCE).instance
-            for service in ("planner", "executor")
+            bus.call(KEYS.health(service), Nothing(), timeout=PATIENCE).instance for service in ("planner", "executor")
         }
     except Unavailable:
         return None

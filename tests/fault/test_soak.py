@@ -17,7 +17,7 @@ from support.executor.client import Client
 from support.harness import ServiceProcess
 from support.resources import Burden, burden, favour
 from support.trajectories import KEYS, ROBOT, moved
-from zarm_contract.messages import JointGoal, Plan, PlanRequest
+from zarm_contract.messages import JointGoal, PlanRequest
 from zarm_contract.robot import ROBOTS
 from zarm_runtime.bus import Bus
 
@@ -60,7 +60,7 @@ def test_plans_are_executed_back_to_back_and_nothing_grows(bus: Bus, endpoint: s
         began = time.monotonic()
         while time.monotonic() < began + SECONDS or goals < 3:
             request = PlanRequest(goal=PLACES[goals % len(PLACES)])
-            plan = bus.call(KEYS.plan, request, Plan, timeout=60)
+            plan = bus.call(KEYS.plan, request, timeout=60)
             end = client.ended(client.execute(plan_id=plan.plan_id))
             assert end.status == "succeeded", (goals, end)
             np.testing.assert_allclose(client.position(), plan.trajectory.position[-1], atol=0.005)

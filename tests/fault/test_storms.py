@@ -105,7 +105,7 @@ def test_of_many_switches_at_once_each_is_answered_and_one_strategy_is_active(
     robot: Driven, endpoint: str, seed: int
 ) -> None:
     told: list[Strategies] = []
-    robot.bus.subscribe(KEYS.strategy, Strategies, lambda _, strategies: told.append(strategies))
+    robot.bus.subscribe(KEYS.strategy, lambda _, strategies: told.append(strategies))
     choice = random.Random(seed)
     names = ("emulator", "joint_speed", "joint_trajectory", "ghost")
     requests: list[tuple[str, Message]] = [

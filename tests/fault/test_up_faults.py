@@ -14,7 +14,7 @@ import pytest
 
 from support.command_line import KEYS, Command, Up, pid, wait_replaced, zarm
 from support.harness import eventually, free_endpoint
-from zarm_contract.messages import ExecutorState, GoalState, JointState, Nothing, Scene
+from zarm_contract.messages import GoalState
 from zarm_runtime.bus import Bus
 
 
@@ -36,11 +36,11 @@ def test_a_killed_planner_comes_back_with_its_scene(up: Up) -> None:
     )
     assert added.returncode == 0, added.stderr
     with Bus(up.endpoint) as bus:
-        scene = bus.call(KEYS.scene, Nothing(), Scene, timeout=5)
+        scene = bus.read(KEYS.scene, timeout=5)
         executor, old = pid(bus, "executor"), pid(bus, "planner")
         os.kill(old, signal.SIGKILL)
         new = wait_replaced(bus, "planner", old)
-        assert bus.call(KEYS.scene, Nothing(), Scene, timeout=5).objects == scene.objects
+        assert bus.read(KEYS.scene, timeout=5).objects == scene.objects
         assert pid(bus, "executor") == executor
     status = json.loads(zarm("status", "--json", ZARM_CONNECT=up.endpoint).stdout)
     assert status["services"]["planner"]["pid"] == new.pid
@@ -50,9 +50,9 @@ def test_a_killed_planner_comes_back_with_its_scene(up: Up) -> None:
 def test_an_executor_killed_in_motion_comes_back_idle_where_the_robot_stopped(up: Up, tmp_path: Path) -> None:
     with Bus(up.endpoint) as bus:
         old = pid(bus, "executor")
-        joints = bus.latest(KEYS.joint_states, JointState)
+        joints = bus.latest(KEYS.joint_states)
         goals: list[GoalState] = []
-        bus.subscribe(KEYS.goal("*"), GoalState, lambda _, goal: goals.append(goal))
+        bus.subscribe(KEYS.goal("*"), lambda _, goal: goals.append(goal))
         arguments = ("execute", "--joints", "1.2,0,1.57,0,1.57,0", "--velocity-scale", "0.3", "--connect", up.endpoint)
         with Command(*arguments, folder=tmp_path) as execute:
             eventually(lambda: goals and goals[-1].progress > 0.2, "the robot is on its way")
@@ -61,7 +61,7 @@ def test_an_executor_killed_in_motion_comes_back_idle_where_the_robot_stopped(up
             assert execute.end() in (1, 3)
             assert execute.errors().startswith("zarm: ")
         wait_replaced(bus, "executor", old)
-        assert bus.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=5).mode == "idle"
+        assert bus.read(KEYS.executor_state, timeout=5).mode == "idle"
         resting = joints.wait(5)
         assert moving is not None
         assert resting is not None

@@ -13,7 +13,7 @@ from support.executor.client import Client
 from support.harness import PATIENCE, ServiceProcess, eventually, router
 from support.trajectories import moved
 from zarm_contract.keys import Keys
-from zarm_contract.messages import JointGoal, Plan, PlanRequest
+from zarm_contract.messages import JointGoal, PlanRequest
 from zarm_contract.robot import RobotDescription, load_robot
 from zarm_runtime.bus import Bus
 
@@ -34,7 +34,7 @@ class Arm:
         """Plan a motion of 0.6 rad, slowly, and set out on it; the goal."""
         goal = JointGoal(kind="joints", position=tuple(moved(0.6, start=self.home)))
         request = PlanRequest(goal=goal, velocity_scale=0.2)
-        plan = self.client.bus.call(self.keys.plan, request, Plan, timeout=PATIENCE)
+        plan = self.client.bus.call(self.keys.plan, request, timeout=PATIENCE)
         assert plan.robot_hash == self.robot.hash
         return self.client.execute(plan_id=plan.plan_id)
 

@@ -18,7 +18,7 @@ from support.executor.client import Client
 from support.harness import PATIENCE, ServiceProcess, eventually, free_endpoint
 from support.trajectories import HOME, KEYS, moved, rest_to_rest
 from zarm_contract.errors import ZarmError
-from zarm_contract.messages import JointGoal, Plan, PlanRequest
+from zarm_contract.messages import JointGoal, PlanRequest
 from zarm_runtime.bus import Bus
 from zarm_runtime.metrics import serve_metrics
 
@@ -64,7 +64,7 @@ def test_plans_their_times_and_the_answers_to_queries_are_counted(endpoint: str,
 
         def plan(*joints: float) -> None:
             request = PlanRequest(start=tuple(HOME), goal=JointGoal(kind="joints", position=joints))
-            bus.call(KEYS.plan, request, Plan, timeout=PATIENCE)
+            bus.call(KEYS.plan, request, timeout=PATIENCE)
 
         for distance in (0.2, 0.4):
             plan(*moved(distance))

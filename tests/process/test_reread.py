@@ -11,10 +11,8 @@ from support.harness import PATIENCE, ServiceProcess, eventually
 from zarm_contract.errors import Busy, Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
-    Accepted,
     CancelRequest,
     ExecuteRequest,
-    ExecutorState,
     Health,
     JointGoal,
     Nothing,
@@ -37,18 +35,18 @@ def test_limits_in_a_changed_file_hold_for_what_is_planned_and_executed_from_the
     file = tmp_path / "doosan_m1013.yaml"
 
     def reread(service: str) -> Health:
-        return bus.call(KEYS.reread(service), Nothing(), Health, timeout=PATIENCE)
+        return bus.call(KEYS.reread(service), Nothing(), timeout=PATIENCE)
 
     def plan() -> Plan:
         request = PlanRequest(goal=JointGoal(kind="joints", position=(1.0, *HOME[1:])))
-        return bus.call(KEYS.plan, request, Plan, timeout=PATIENCE)
+        return bus.call(KEYS.plan, request, timeout=PATIENCE)
 
     def execute() -> str:
-        return bus.call(KEYS.execute, ExecuteRequest(), Accepted, timeout=PATIENCE).goal_id
+        return bus.call(KEYS.execute, ExecuteRequest(), timeout=PATIENCE).goal_id
 
     def taken(service: str) -> bool:
         try:
-            health = bus.call(KEYS.health(service), Nothing(), Health, timeout=PATIENCE)
+            health = bus.call(KEYS.health(service), Nothing(), timeout=PATIENCE)
         except Unavailable:
             return False
         return health.ready and health.robot_hash == load_robot(str(file)).hash
@@ -64,10 +62,8 @@ def test_limits_in_a_changed_file_hold_for_what_is_planned_and_executed_from_the
         file.write_text(file.read_text().replace(SPEEDS, SPEEDS.replace("1.2", "0.2")))
         with pytest.raises(Busy, match="running"):
             reread("executor")
-        bus.call(KEYS.cancel, CancelRequest(goal_id=goal), ExecutorState, timeout=PATIENCE)
-        eventually(
-            lambda: bus.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=PATIENCE).mode == "idle", "it rests"
-        )
+        bus.call(KEYS.cancel, CancelRequest(goal_id=goal), timeout=PATIENCE)
+        eventually(lambda: bus.read(KEYS.executor_state, timeout=PATIENCE).mode == "idle", "it rests")
         for service in ("planner", "executor"):
             reread(service)
             eventually(lambda service=service: taken(service), f"the {service} has taken the file")

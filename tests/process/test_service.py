@@ -54,7 +54,7 @@ def start(endpoint: str, pendulum: Path) -> Iterator[Start]:
 def health(bus: Bus, keys: Keys = KEYS) -> Health | None:
     """The health of the minimal service once it is ready."""
     try:
-        answer = bus.call(keys.health("minimal"), Nothing(), Health, timeout=PATIENCE)
+        answer = bus.call(keys.health("minimal"), Nothing(), timeout=PATIENCE)
     except Unavailable:
         return None
     return answer if answer.ready else None
@@ -129,7 +129,7 @@ def test_a_second_robot_of_a_kind_has_a_name_of_its_own(start: Start, bus: Bus) 
 
 
 def reread(bus: Bus) -> Health:
-    return bus.call(KEYS.reread("minimal"), Nothing(), Health, timeout=PATIENCE)
+    return bus.call(KEYS.reread("minimal"), Nothing(), timeout=PATIENCE)
 
 
 def test_a_service_starts_anew_with_the_changed_file_of_its_robot(start: Start, bus: Bus, pendulum: Path) -> None:

@@ -26,7 +26,7 @@ from support.tiers import sampled
 from support.trajectories import HOME, KEYS, ROBOT
 from zarm.servoing import PERIOD, Jogging
 from zarm_contract.errors import Busy, DeadlineExceeded, from_problem
-from zarm_contract.messages import Accepted, Cuboid, SceneObject, ServoSession, ServoStart, Sphere, StreamChunk
+from zarm_contract.messages import Cuboid, SceneObject, ServoSession, ServoStart, Sphere, StreamChunk
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
@@ -153,7 +153,7 @@ def test_a_robot_that_finds_itself_in_something_moves_only_outwards(cell: Cell) 
     scene = ExactScene(MODEL, World([ball], 0.0))
     load(cell.bus, ball)
     chunks: list[StreamChunk] = []
-    unsubscribe = cell.bus.subscribe(KEYS.stream, StreamChunk, lambda _, chunk: chunks.append(chunk))
+    unsubscribe = cell.bus.subscribe(KEYS.stream, lambda _, chunk: chunks.append(chunk))
     with cell.robot.jog() as jogging:
         assert cell.repeat(jogging, "blocked", linear=(0.1, 0.0, 0.0)).object == "ball"
         cell.repeat(jogging, "free", linear=(-0.1, 0.0, 0.0))
@@ -296,7 +296,7 @@ def test_of_a_thousand_targets_a_second_the_newest_counts_and_the_robot_never_ju
 
 
 def test_a_pause_ends_a_session_and_leaves_its_goal_paused(cell: Cell) -> None:
-    session = cell.bus.call(KEYS.servo_start, ServoStart(), Accepted, timeout=PATIENCE)
+    session = cell.bus.call(KEYS.servo_start, ServoStart(), timeout=PATIENCE)
     cell.client.mode("running")
     cell.robot.pause()
     cell.client.mode("paused")

@@ -26,7 +26,7 @@ from support.ros.node import destroyed
 from support.ros.stack import KEYS, Stack, stack
 from support.tiers import sampled
 from support.trajectories import patient
-from zarm_contract.messages import CancelRequest, ExecutorState, FkPoses, FkRequest
+from zarm_contract.messages import CancelRequest, FkRequest
 from zarm_ros_bridge.convert.poses import ros_pose
 from zarm_ros_bridge.convert.servo_commands import INVALID, NO_WARNING
 from zarm_ros_bridge.servo_commands import RELEASE_SECONDS
@@ -59,7 +59,7 @@ class Arm:
     def tip(self) -> Pose:
         """Where it is now."""
         request = FkRequest(joints=(self.robot.joints(),))
-        return ros_pose(self.robot.bus.call(KEYS.fk, request, FkPoses, timeout=PATIENCE).poses[0])
+        return ros_pose(self.robot.bus.call(KEYS.fk, request, timeout=PATIENCE).poses[0])
 
     def beside(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Pose:
         """A pose so far (m) from where it is now."""
@@ -294,7 +294,7 @@ def test_a_robot_that_was_stopped_stays_at_rest_until_the_commands_have_paused(a
     command.twist.linear = Vector3(z=0.03)
     with arm.commanding("delta_twist_cmds", command, heeding=False):
         eventually(lambda: arm.away_from(start) > 0.005, "the tip moves")
-        arm.robot.bus.call(KEYS.cancel, CancelRequest(), ExecutorState, timeout=PATIENCE)
+        arm.robot.bus.call(KEYS.cancel, CancelRequest(), timeout=PATIENCE)
         eventually(lambda: any(PAUSE in told.data for told in texts[before:]), "it is told")
         arm.robot.wait_rest()
         stopped, told = arm.robot.joints(), len(texts)

@@ -15,7 +15,6 @@ from support.ros.client import RosClient
 from support.ros.goals import CANCELED, SUCCEEDED, Actions, Sent
 from support.ros.stack import KEYS, stack
 from support.trajectories import HOME, ROBOT, moved
-from zarm_contract.messages import JointState as BusJointState
 
 FAR = moved(0.9, -0.4, 0.2)
 
@@ -59,7 +58,7 @@ class Lab:
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     with stack(tmp_path_factory.mktemp("lab"), leeloo_sim=("--ros",)) as running:
-        carried = running.bus.latest(KEYS.driver_joint_states, BusJointState)
+        carried = running.bus.latest(KEYS.driver_joint_states)
         eventually(carried.get, "the joints of the driver have reached the bus")
         told = running.ros.heard(JointState, "/dsr01/joint_states", 100)
         answered = running.ros.call(SetPlanner, "set_planner", planner_type=SetPlanner.Request.JOINT_SPACE)

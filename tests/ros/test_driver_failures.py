@@ -19,7 +19,7 @@ from support.resources import favour
 from support.ros.goals import ABORTED, HOME, SUCCEEDED, Actions, Robot, Sent
 from support.ros.stack import KEYS, Stack, stack
 from support.tiers import sampled
-from zarm_contract.messages import DriverFault, Nothing
+from zarm_contract.messages import DriverFault
 from zarm_contract.robot import load_robot
 
 M1013 = load_robot("doosan_m1013").descriptor
@@ -151,7 +151,7 @@ def test_a_robot_whose_driver_tells_only_what_cannot_be_read_is_stopped(lab: Lab
     told = lab.ros.node.create_publisher(JointState, M1013.strategy_params.joint_states_topic, 10)
     eventually(told.get_subscription_count, "the bridge listens")
     goal = lab.under_way()
-    lab.bus.call(KEYS.simulated_fault, DriverFault(silent=True), Nothing, timeout=10)
+    lab.bus.call(KEYS.simulated_fault, DriverFault(silent=True), timeout=10)
 
     def in_fault() -> bool:
         for message in NONSENSE.values():
@@ -162,6 +162,6 @@ def test_a_robot_whose_driver_tells_only_what_cannot_be_read_is_stopped(lab: Lab
     lab.stopped(goal)
     for fault in NONSENSE:
         assert lab.bridge.output().count(fault) == 1, lab.bridge.output()
-    lab.bus.call(KEYS.simulated_fault, DriverFault(), Nothing, timeout=10)
+    lab.bus.call(KEYS.simulated_fault, DriverFault(), timeout=10)
     lab.measured()
     lab.goes_on()

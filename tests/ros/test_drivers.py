@@ -86,7 +86,7 @@ def test_a_ur5e_is_moved_through_its_controller_topic(apart: tuple[str, Bus], tm
 
 def told_joints(bus: Bus, ros: RosClient) -> float:
     """Have the driver tell its joints, so that a command can be based on them; their stamp."""
-    latest = bus.latest(Keys("doosan_m1013").driver_joint_states, m.JointState)
+    latest = bus.latest(Keys("doosan_m1013").driver_joint_states)
     publisher = ros.node.create_publisher(JointState, "/dsr01/joint_states", 10)
     eventually(publisher.get_subscription_count, "the bridge listens")
     return eventually(
@@ -97,7 +97,7 @@ def told_joints(bus: Bus, ros: RosClient) -> float:
 def test_a_late_command_does_not_reach_the_driver(bus: Bus, bridge: ServiceProcess, ros: RosClient) -> None:
     heard = ros.heard(JointTrajectory, "/leeloo/execute_trajectory")
     names, row = M1013.descriptor.joints, (0.0,) * 6
-    commands = bus.publisher(Keys("doosan_m1013").driver_command, m.DriverCommand)
+    commands = bus.publisher(Keys("doosan_m1013").driver_command)
     told(heard, lambda: commands.put(m.DriverCommand(sequence=1, joint_names=names)), "the bridge knows of the driver")
     based_on = told_joints(bus, ros)
     for sequence, stamp, expires_after, points in (
@@ -125,7 +125,7 @@ def test_commands_reach_the_driver_as_they_are(bus: Bus, bridge: ServiceProcess,
     heard = ros.heard(JointTrajectory, "/leeloo/execute_trajectory")
     names = M1013.descriptor.joints
     rows = tuple(tuple(0.1 * i + j for j in range(6)) for i in range(2))
-    commands = bus.publisher(Keys("doosan_m1013").driver_command, m.DriverCommand)
+    commands = bus.publisher(Keys("doosan_m1013").driver_command)
     told(heard, lambda: commands.put(m.DriverCommand(sequence=1, joint_names=names)), "the bridge knows of the driver")
     commands.put(
         m.DriverCommand(
@@ -160,7 +160,7 @@ VALUES = [1.0, 2.0, 4.0, 5.0, 3.0, 6.0]
 def test_joint_states_reach_the_bus_by_name_with_the_drivers_stamp(
     bus: Bus, bridge: ServiceProcess, ros: RosClient
 ) -> None:
-    latest = bus.latest(Keys("doosan_m1013").driver_joint_states, m.JointState)
+    latest = bus.latest(Keys("doosan_m1013").driver_joint_states)
     publisher = ros.node.create_publisher(JointState, "/dsr01/joint_states", 10)
     eventually(publisher.get_subscription_count, "the bridge listens")
     in_order = tuple(float(index) for index in range(1, 7))
@@ -185,7 +185,7 @@ def test_joint_states_that_cannot_be_read_go_no_further_and_are_complained_of_on
     bus: Bus, bridge: ServiceProcess, ros: RosClient
 ) -> None:
     heard: list[m.JointState] = []
-    bus.subscribe(Keys("doosan_m1013").driver_joint_states, m.JointState, lambda _, state: heard.append(state))
+    bus.subscribe(Keys("doosan_m1013").driver_joint_states, lambda _, state: heard.append(state))
     publisher = ros.node.create_publisher(JointState, "/dsr01/joint_states", 10)
     eventually(publisher.get_subscription_count, "the bridge listens")
     bad = {
@@ -209,11 +209,11 @@ def test_joint_states_that_cannot_be_read_go_no_further_and_are_complained_of_on
 def test_progress_is_of_the_command_that_was_sent_last(bus: Bus, bridge: ServiceProcess, ros: RosClient) -> None:
     keys = Keys("doosan_m1013")
     heard: list[m.DriverProgress] = []
-    bus.subscribe(keys.driver_progress, m.DriverProgress, lambda _, progress: heard.append(progress))
+    bus.subscribe(keys.driver_progress, lambda _, progress: heard.append(progress))
     sent = ros.heard(JointTrajectory, "/leeloo/execute_trajectory")
     publisher = ros.node.create_publisher(Float32, "/leeloo/trajectory_state", 10)
     eventually(publisher.get_subscription_count, "the bridge listens")
-    commands = bus.publisher(keys.driver_command, m.DriverCommand)
+    commands = bus.publisher(keys.driver_command)
     row = (0.0,) * 6
     command = m.DriverCommand(
         sequence=7,
@@ -231,7 +231,7 @@ def test_progress_is_of_the_command_that_was_sent_last(bus: Bus, bridge: Service
 
 
 def test_a_driver_that_comes_late_and_again_is_heard(bus: Bus, bridge: ServiceProcess, ros: RosClient) -> None:
-    latest = bus.latest(Keys("doosan_m1013").driver_joint_states, m.JointState)
+    latest = bus.latest(Keys("doosan_m1013").driver_joint_states)
     for position in (VALUES, [value + 0.1 for value in VALUES]):
         publisher = ros.node.create_publisher(JointState, "/dsr01/joint_states", 10)
         eventually(publisher.get_subscription_count, "the bridge listens")
@@ -265,7 +265,7 @@ def test_a_bridge_that_ends_while_a_driver_tells_its_joints_ends_in_order(
     apart: tuple[str, Bus], tmp_path: Path, ros: RosClient
 ) -> None:
     endpoint, bus = apart
-    latest = bus.latest(Keys("doosan_m1013").driver_joint_states, m.JointState)
+    latest = bus.latest(Keys("doosan_m1013").driver_joint_states)
     publisher = ros.node.create_publisher(JointState, "/dsr01/joint_states", 10)
     for stamp in (1, 2, 3):
         state = _state(HUMBLE, VALUES)
@@ -297,7 +297,7 @@ def test_two_robots_in_one_bridge_have_namespaces_and_their_own_drivers(
                 lambda at=namespace: ("unified_planner", at) in ros.node.get_node_names_and_namespaces(),
                 f"the node of {namespace} is seen",
             )
-        states = bus.latest(Keys("ur5e").driver_joint_states, m.JointState)
+        states = bus.latest(Keys("ur5e").driver_joint_states)
         state = eventually(states.get, "the joints of the ur5e have come")
         assert sorted(state.joint_names) == sorted(UR5E.descriptor.joints)
-        assert bus.latest(Keys("doosan_m1013").driver_joint_states, m.JointState).wait(0.3) is None
+        assert bus.latest(Keys("doosan_m1013").driver_joint_states).wait(0.3) is None

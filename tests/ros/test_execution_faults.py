@@ -22,7 +22,7 @@ from support.harness import PATIENCE, ServiceProcess, eventually, free_endpoint,
 from support.ros.goals import ABORTED, SUCCEEDED, TARGET, Actions, Robot, Sent
 from support.ros.node import answer, running_node
 from support.ros.stack import KEYS, RosClient
-from zarm_contract.messages import GoalState, Nothing, Strategies, StrategyRequest
+from zarm_contract.messages import GoalState, StrategyRequest
 from zarm_ros_bridge.goals import SILENCE
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_router
@@ -85,7 +85,7 @@ class Zarm:
         """The end of a goal of the executor's."""
 
         def last() -> GoalState | None:
-            state = self.bus.call(KEYS.goal(goal_id), Nothing(), GoalState, timeout=10)
+            state = self.bus.read(KEYS.goal(goal_id), timeout=10)
             return state if state.done else None
 
         return eventually(last, f"{goal_id} ends")
@@ -256,7 +256,7 @@ def test_the_parameters_follow_an_executor_that_starts_with_another_strategy(zar
         told = answer(parameters.get_parameters(["control_strategy"]), "the parameter is told")
         return str(told.values[0].string_value)
 
-    zarm.bus.call(KEYS.strategy, StrategyRequest(strategy="ghost"), Strategies, timeout=10)
+    zarm.bus.call(KEYS.strategy, StrategyRequest(strategy="ghost"), timeout=10)
     eventually(lambda: strategy() == "ghost", "the parameter follows")
     executor.kill()
     zarm.start("executor")

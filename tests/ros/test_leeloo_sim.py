@@ -20,7 +20,7 @@ from support.ros.node import running_node
 from zarm_contract import messages
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
-from zarm_contract.messages import DriverFault, Nothing
+from zarm_contract.messages import DriverFault
 from zarm_contract.robot import load_robot
 from zarm_runtime.bus import Bus
 
@@ -68,7 +68,7 @@ class Arm:
         eventually(lambda: abs(self.states[-1].velocity[0]) > 0.9 * SPEED[0], "the arm moves")
 
     def suffer(self, fault: DriverFault) -> None:
-        self.bus.call(self.keys.simulated_fault, fault, Nothing, timeout=10)
+        self.bus.call(self.keys.simulated_fault, fault, timeout=10)
 
 
 @contextmanager
@@ -114,7 +114,7 @@ def arm(shared: Arm) -> Arm:
 
 def test_it_plays_velocities_by_index_and_tells_every_point_and_nothing_at_rest(arm: Arm) -> None:
     on_the_bus: list[messages.JointState] = []
-    arm.bus.subscribe(arm.keys.driver_joint_states, messages.JointState, lambda _, state: on_the_bus.append(state))
+    arm.bus.subscribe(arm.keys.driver_joint_states, lambda _, state: on_the_bus.append(state))
     began = arm.at_rest()
     assert arm.progress == []
     arm.command(trajectory(velocities=[SPEED] * 50))

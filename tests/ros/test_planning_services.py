@@ -20,8 +20,7 @@ from curobo_msgs.srv import Fk, GetPlanners, SetPlanner, TrajectoryGeneration
 from support.harness import eventually
 from support.ros.node import answer
 from support.ros.stack import KEYS, Stack, stack
-from zarm_contract.messages import Accepted, CancelRequest, ExecuteRequest, ExecutorState, Nothing, Plan
-from zarm_contract.messages import JointState as MeasuredJoints
+from zarm_contract.messages import CancelRequest, ExecuteRequest
 from zarm_contract.robot import ROBOTS, load_robot
 
 ROBOT = load_robot("doosan_m1013")
@@ -109,7 +108,7 @@ def assert_sound(response: Any, start: Any) -> np.ndarray:
 
 
 def measured(arm: Stack) -> tuple[float, ...]:
-    with_latest = arm.bus.latest(KEYS.joint_states, MeasuredJoints)
+    with_latest = arm.bus.latest(KEYS.joint_states)
     state = None
     while state is None:
         state = with_latest.get(max_age=1.0)
@@ -127,7 +126,7 @@ def test_the_tutorials_calls_are_planned_from_where_the_robot_is_to_the_pose(arm
 
 def test_the_last_plan_on_the_bus_is_the_one_that_was_answered(arm: Stack) -> None:
     position = assert_sound(generate(arm, target_pose=down(0.4, 0.3, 0.5)), HOME)
-    last = arm.bus.call(KEYS.plans, Nothing(), Plan, timeout=10).trajectory.position[-1]
+    last = arm.bus.read(KEYS.plans, timeout=10).trajectory.position[-1]
     np.testing.assert_allclose(position[-1], last, atol=1e-9)
 
 
@@ -331,7 +330,7 @@ def test_an_update_without_a_change_and_with_a_broken_file_leaves_all_as_it_is(a
 def test_an_update_is_refused_while_the_robot_moves(arm: Stack, descriptor: Path) -> None:
     assert_sound(generate(arm, target_joint_positions=[1.0, *HOME[1:]]), HOME)
     before = descriptor.read_text()
-    goal = arm.bus.call(KEYS.execute, ExecuteRequest(), Accepted, timeout=10)
+    goal = arm.bus.call(KEYS.execute, ExecuteRequest(), timeout=10)
     try:
         descriptor.write_text(before + "\n# a remark")
         update = arm.ros.call(Trigger, "update_motion_gen_config")
@@ -339,10 +338,8 @@ def test_an_update_is_refused_while_the_robot_moves(arm: Stack, descriptor: Path
         assert "running" in update.message
     finally:
         descriptor.write_text(before)
-        arm.bus.call(KEYS.cancel, CancelRequest(goal_id=goal.goal_id), ExecutorState, timeout=10)
-    eventually(
-        lambda: arm.bus.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=10).mode == "idle", "it rests"
-    )
+        arm.bus.call(KEYS.cancel, CancelRequest(goal_id=goal.goal_id), timeout=10)
+    eventually(lambda: arm.bus.read(KEYS.executor_state, timeout=10).mode == "idle", "it rests")
 
 
 def parameter(arm: Stack, name: str) -> ParameterValue:

@@ -24,7 +24,7 @@ from support.ros.client import told
 from support.ros.goals import ABORTED, HOME, SUCCEEDED, TARGET, Actions, Robot
 from support.ros.node import running_node
 from support.ros.stack import KEYS, RosClient
-from zarm_contract.messages import AddObjects, Cylinder, Plan, SceneEdit, SceneEdited
+from zarm_contract.messages import AddObjects, Cylinder, Plan, SceneEdit
 from zarm_ros_bridge.goals import SILENCE
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_router
@@ -177,7 +177,7 @@ def test_a_bridge_that_alone_lost_its_link_shows_the_scene_that_became_meanwhile
         place.link.cut()
         pole = Cylinder(kind="cylinder", name=name, position=(2.0, 0.0, 0.5), radius=0.1, length=1.0)
         edit = SceneEdit(edit=AddObjects(op="add", objects=(pole,)))
-        place.bus.call(KEYS.scene_edit, edit, SceneEdited, timeout=10)
+        place.bus.call(KEYS.scene_edit, edit, timeout=10)
         place.link.restore()
         eventually(
             lambda wanted=name: any(marker.ns == wanted for marker in shown[-1].markers),

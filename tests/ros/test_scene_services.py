@@ -24,7 +24,7 @@ from curobo_msgs.srv import (
 from support.ros.stack import KEYS, Stack, stack
 from zarm.connection import Connection
 from zarm.robot import Robot
-from zarm_contract.messages import Cuboid, Nothing, Scene, Sphere
+from zarm_contract.messages import Cuboid, Scene, Sphere
 from zarm_contract.robot import load_robot
 
 ROBOT = load_robot("doosan_m1013")
@@ -59,7 +59,7 @@ def add(arm: Stack, kind: int, name: str, pose: Pose, *size: float, **more: Any)
 
 
 def scene(arm: Stack) -> Scene:
-    return arm.bus.call(KEYS.scene, Nothing(), Scene, timeout=10)
+    return arm.bus.read(KEYS.scene, timeout=10)
 
 
 def test_every_kind_of_object_becomes_an_obstacle_of_its_size(arm: Stack) -> None:

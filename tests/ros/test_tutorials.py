@@ -20,7 +20,6 @@ from support.markdown import PAGES, commands
 from support.paths import PROGRAMS, SHARED
 from support.ros.stack import KEYS
 from support.trajectories import patient
-from zarm_contract.messages import JointState
 from zarm_runtime.bus import Bus
 
 REFERENCE = SHARED / "reference"
@@ -208,7 +207,7 @@ def rate(printed: str) -> float:
 
 
 def measured(bus: Bus) -> tuple[float, ...]:
-    latest = bus.latest(KEYS.joint_states, JointState)
+    latest = bus.latest(KEYS.joint_states)
     while (state := latest.get(max_age=1.0)) is None:
         pass
     return state.position

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from zarm_cli.certificate_authority import Authority, today
-from zarm_contract.access import Role
+from zarm_contract.roles import Role
 
 
 def issue(certificates: Path, to: Path, role: Role, **changes: object) -> None:

@@ -203,7 +203,7 @@ class Router(Command):
 def health(bus: Bus, service: str, keys: Keys = KEYS) -> Health | None:
     """The health of a service, or None while it does not answer."""
     try:
-        return bus.call(keys.health(service), Nothing(), Health, timeout=5)
+        return bus.call(keys.health(service), Nothing(), timeout=5)
     except Unavailable:
         return None
 

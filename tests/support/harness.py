@@ -133,7 +133,7 @@ class ServiceProcess:
             if self.process.poll() is not None:
                 raise AssertionError(f"{self.service} ended with {self.process.returncode}; its log:\n{self.output()}")
             try:
-                health = bus.call(keys.health(self.service), Nothing(), Health, timeout=5)
+                health = bus.call(keys.health(self.service), Nothing(), timeout=5)
             except Unavailable:
                 return None
             return health if health.ready and health.pid == self.process.pid else None

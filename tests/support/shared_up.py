@@ -11,7 +11,7 @@ import pytest
 from support.command_line import KEYS, Up
 from support.harness import free_endpoint
 from support.paths import MESHES
-from zarm_contract.messages import ClearScene, SceneEdit, SceneEdited
+from zarm_contract.messages import ClearScene, SceneEdit
 from zarm_runtime.bus import Bus
 
 
@@ -40,4 +40,4 @@ def observer(place: str) -> Iterator[Bus]:
 @pytest.fixture
 def empty_scene(observer: Bus) -> None:
     """Its scene is empty."""
-    observer.call(KEYS.scene_edit, SceneEdit(edit=ClearScene(op="clear")), SceneEdited, timeout=5)
+    observer.call(KEYS.scene_edit, SceneEdit(edit=ClearScene(op="clear")), timeout=5)

@@ -45,7 +45,6 @@ from zarm.values import (
     Voxels,
     Waypoints,
 )
-from zarm_contract.access import Role
 from zarm_contract.errors import (
     Busy,
     Cancelled,
@@ -71,6 +70,7 @@ from zarm_contract.messages import (
     ServoSession,
     Strategies,
 )
+from zarm_contract.roles import Role
 
 if TYPE_CHECKING:
     from zarm import aio

@@ -28,8 +28,8 @@ from zarm.connection import CONNECT_SECONDS, Connection
 from zarm.interrupts import Interruption, started
 from zarm.motion import OnProgress
 from zarm.record_story import Story
-from zarm_contract.access import Role
 from zarm_contract.messages import ExecuteRequest, GoalState, Plan, Trajectory
+from zarm_contract.roles import Role
 
 __all__ = ["Robot", "Scene", "connect", "replay", "robots", "story"]
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import TypeVar
 
 from zarm.connection import ANSWER_SECONDS, Connection
+from zarm_contract.key import Query
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Message
 
-M = TypeVar("M", bound=Message)
+Request = TypeVar("Request", bound=Message)
+Reply = TypeVar("Reply", bound=Message)
 
 
 class Calls:
@@ -26,5 +28,5 @@ class Calls:
     def _keys(self) -> Keys:
         return self.connection.keys
 
-    def _ask(self, key: str, reply: type[M], request: Message | None = None, *, timeout: float = ANSWER_SECONDS) -> M:
-        return self.connection.ask(key, reply, request, timeout=timeout)
+    def _ask(self, key: Query[Request, Reply], request: Request, *, timeout: float = ANSWER_SECONDS) -> Reply:
+        return self.connection.ask(key, request, timeout=timeout)

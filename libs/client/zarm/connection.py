@@ -11,10 +11,11 @@ from typing import Any, TypeVar
 from zarm.goals import Goals
 from zarm.interrupts import CtrlC, Interrupts
 from zarm.live import Newest, live
-from zarm_contract.access import Role
 from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.key import Latched, Published, Query
 from zarm_contract.keys import ALL_ALIVE, Keys
-from zarm_contract.messages import Message, Nothing
+from zarm_contract.messages import Message
+from zarm_contract.roles import Role
 from zarm_runtime.bus import Bus, Publisher
 from zarm_runtime.session import DEFAULT_ENDPOINT
 
@@ -23,6 +24,7 @@ ANSWER_SECONDS = 5.0
 """Longest wait (s) for requests that are answered at once."""
 
 M = TypeVar("M", bound=Message)
+Request = TypeVar("Request", bound=Message)
 Reply = TypeVar("Reply", bound=Message)
 
 
@@ -41,45 +43,41 @@ class Connection:
         """A connection to a robot on an open bus."""
         return cls(bus, keys, Goals(bus, keys), interrupts or CtrlC())
 
-    def ask(
-        self, key: str, reply: type[Reply], request: Message | None = None, *, timeout: float = ANSWER_SECONDS
-    ) -> Reply:
+    def ask(self, key: Query[Request, Reply], request: Request, *, timeout: float = ANSWER_SECONDS) -> Reply:
         """The answer to a request within `timeout` s. Raises the service's problem, or Unavailable."""
-        return self.interrupts.attend(lambda: self.bus.call(key, request or Nothing(), reply, timeout=timeout))
+        return self.interrupts.attend(lambda: self.bus.call(key, request, timeout=timeout))
 
-    def read(self, key: str, model: type[Reply], *, timeout: float = ANSWER_SECONDS) -> Reply:
+    def read(self, key: Latched[M], *, timeout: float = ANSWER_SECONDS) -> M:
         """The present value of a key. Raises Unavailable."""
-        return self.interrupts.attend(lambda: self.bus.read(key, model, timeout=timeout))
+        return self.interrupts.attend(lambda: self.bus.read(key, timeout=timeout))
 
-    def latched(self, key: str, model: type[M]) -> Generator[M]:
+    def latched(self, key: Latched[M]) -> Generator[M]:
         """The present value of a key and then each new one."""
 
         def subscribe(tell: Callable[[M], None]) -> Callable[[], None]:
-            return self.interrupts.attend(lambda: self.bus.watch(key, model, lambda _, value: tell(value)))
+            return self.interrupts.attend(lambda: self.bus.watch(key, lambda _, value: tell(value)))
 
         return live(subscribe, self.interrupts, self.bus.check_open)
 
-    def published(self, key: str, model: type[M]) -> Generator[M]:
+    def published(self, key: Published[M]) -> Generator[M]:
         """Each value published on a key from now on."""
         return live(
-            lambda tell: self.bus.subscribe(key, model, lambda _, value: tell(value)),
-            self.interrupts,
-            self.bus.check_open,
+            lambda tell: self.bus.subscribe(key, lambda _, value: tell(value)), self.interrupts, self.bus.check_open
         )
 
-    def next(self, key: str, model: type[M], seconds: float) -> M | None:
+    def next(self, key: Published[M], seconds: float) -> M | None:
         """The next value published on a key, or None if none comes within `seconds`."""
         newest: Newest[M] = Newest()
-        end = self.bus.subscribe(key, model, lambda _, value: newest.put(value))
+        end = self.bus.subscribe(key, lambda _, value: newest.put(value))
         try:
             return self.interrupts.attend(lambda: newest.take(seconds))
         finally:
             end()
 
-    def publisher(self, key: str, model: type[M]) -> Publisher[M]:
-        """The publisher of a key, express and with the highest priority; the same one for all callers."""
+    def publisher(self, key: Published[M]) -> Publisher[M]:
+        """The publisher of a key; the same one for all callers."""
         if key not in self._publishers:
-            self._publishers[key] = self.bus.publisher(key, model, realtime=True)
+            self._publishers[key] = self.bus.publisher(key)
         return self._publishers[key]
 
 

@@ -38,7 +38,7 @@ class Goals:
         self._bus.check_open()
         with self._listening:
             if not self._heard:
-                self._bus.watch(self._keys.goal("*"), GoalState, lambda _, state: self._note(state))
+                self._bus.watch(self._keys.goal("*"), lambda _, state: self._note(state))
                 self._heard = True
 
     def known(self, goal_id: str) -> GoalState | None:
@@ -86,7 +86,7 @@ class Goals:
 
     def _ask(self, goal_id: str) -> None:
         try:
-            state = self._bus.read(self._keys.goal(goal_id), GoalState, timeout=_ASK_SECONDS)
+            state = self._bus.read(self._keys.goal(goal_id), timeout=_ASK_SECONDS)
         except ZarmError:
             return  # it may be restarting; after the silence it is given up
         self._note(state)

@@ -11,8 +11,6 @@ from zarm.values import Pose, joints_of, made, pose_of, rows
 from zarm_contract.messages import (
     CheckRequest,
     CheckResult,
-    CheckResults,
-    FkPoses,
     FkRequest,
     IkRequest,
     IkSolutions,
@@ -32,7 +30,7 @@ class Kinematics(Calls):
     def fk(self, joints: Rows, *, timeout: float = ANSWER_SECONDS) -> list[Pose]:
         """The tip's pose at each row of joint positions (rad), up to 1000 of them."""
         request = made(FkRequest, joints=rows(joints, "joints"))
-        poses = self._ask(self._keys.fk, FkPoses, request, timeout=timeout).poses
+        poses = self._ask(self._keys.fk, request, timeout=timeout).poses
         return [pose_of(pose) for pose in poses]
 
     def ik(
@@ -58,7 +56,7 @@ class Kinematics(Calls):
 
     def request_ik(self, request: IkRequest, *, timeout: float = BATCH_SECONDS) -> IkSolutions:
         """Inverse kinematics of up to 1000 poses, with a message."""
-        return self._ask(self._keys.ik, IkSolutions, request, timeout=timeout)
+        return self._ask(self._keys.ik, request, timeout=timeout)
 
     def check(
         self,
@@ -75,4 +73,4 @@ class Kinematics(Calls):
         """
         where = None if joints is None else rows(joints, "joints")
         request = made(CheckRequest, joints=where, spheres=spheres, points=points)
-        return self._ask(self._keys.check, CheckResults, request, timeout=timeout).results
+        return self._ask(self._keys.check, request, timeout=timeout).results

@@ -11,13 +11,12 @@ from zarm.connection import ANSWER_SECONDS
 from zarm.values import made
 from zarm_contract.errors import Unavailable, from_problem
 from zarm_contract.messages import (
-    Accepted,
     CancelRequest,
     ExecuteRequest,
     ExecutorState,
     GoalState,
+    Nothing,
     Plan,
-    Speed,
     SpeedRequest,
     Strategies,
     StrategyRequest,
@@ -107,35 +106,35 @@ class Motion(Calls):
     def cancel(self, goal_id: str | None = None, *, timeout: float = ANSWER_SECONDS) -> ExecutorState:
         """Cancel a goal, by default the active one; the robot brakes to rest. Cancelling a finished goal is no error."""
         request = made(CancelRequest, goal_id=goal_id)
-        return self._ask(self._keys.cancel, ExecutorState, request, timeout=timeout)
+        return self._ask(self._keys.cancel, request, timeout=timeout)
 
     def stop(self) -> ExecutorState:
         """Stop the robot now, whoever moves it; it brakes to rest."""
-        return self._ask(self._keys.stop, ExecutorState)
+        return self._ask(self._keys.stop, Nothing())
 
     def pause(self) -> ExecutorState:
         """Pause the motion; `resume` continues it."""
-        return self._ask(self._keys.pause, ExecutorState)
+        return self._ask(self._keys.pause, Nothing())
 
     def resume(self) -> ExecutorState:
         """Continue a paused motion."""
-        return self._ask(self._keys.resume, ExecutorState)
+        return self._ask(self._keys.resume, Nothing())
 
     def reset(self) -> ExecutorState:
         """Leave the fault state, once its cause is fixed."""
-        return self._ask(self._keys.reset, ExecutorState)
+        return self._ask(self._keys.reset, Nothing())
 
     def speed(self, scale: float | None = None) -> float:
         """The share (0.05 to 1) of the planned speed at which the robot moves. With `scale`, sets it first."""
         if scale is None:
-            return self.connection.read(self._keys.speed, Speed).speed_scale
-        return self._ask(self._keys.speed, Speed, made(SpeedRequest, speed_scale=scale)).speed_scale
+            return self.connection.read(self._keys.speed).speed_scale
+        return self._ask(self._keys.speed, made(SpeedRequest, speed_scale=scale)).speed_scale
 
     def strategy(self, name: str | None = None) -> Strategies:
         """The control strategies of this robot and the active one. With `name`, switches first."""
         if name is None:
-            return self.connection.read(self._keys.strategy, Strategies)
-        return self._ask(self._keys.strategy, Strategies, made(StrategyRequest, strategy=name), timeout=REST_SECONDS)
+            return self.connection.read(self._keys.strategy)
+        return self._ask(self._keys.strategy, made(StrategyRequest, strategy=name), timeout=REST_SECONDS)
 
     @contextmanager
     def _new_goal(self, goal_id: str | None = None) -> Iterator[str]:
@@ -163,7 +162,7 @@ class Motion(Calls):
         self.connection.interrupts.attend(self.connection.goals.listen)
         try:
             with self.connection.interrupts.insist(f"the executor of {self.name} to take the goal or refuse it"):
-                self._ask(self._keys.execute, Accepted, request, timeout=timeout)
+                self._ask(self._keys.execute, request, timeout=timeout)
         except Unavailable:  # the executor may have received the request, and start it yet
             with self._until_left(), suppress(Unavailable):
                 self.cancel(goal_id)

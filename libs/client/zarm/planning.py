@@ -11,7 +11,6 @@ from zarm.connection import ANSWER_SECONDS
 from zarm.values import Goal, goal_of, joints_of, made
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import (
-    CancelledPlan,
     CancelPlan,
     PathConstraint,
     Plan,
@@ -97,7 +96,7 @@ class Planning(Calls):
         named = request.model_copy(update={"request_id": request.request_id or f"plan-{secrets.token_hex(8)}"})
         timeout = (request.timeout or LONGEST_PLANNING) + ANSWER_SECONDS
         try:
-            return self._ask(self._keys.plan, Plan, named, timeout=timeout)
+            return self._ask(self._keys.plan, named, timeout=timeout)
         except KeyboardInterrupt:
             with suppress(Unavailable):
                 self.cancel_plan(named.request_id or "")
@@ -106,10 +105,10 @@ class Planning(Calls):
     def cancel_plan(self, request_id: str, *, timeout: float = ANSWER_SECONDS) -> bool:
         """Cancel a planning request by its `request_id`, even before it arrives. Returns whether it was running."""
         request = CancelPlan(request_id=request_id)
-        return self._ask(self._keys.plan_cancel, CancelledPlan, request, timeout=timeout).was_running
+        return self._ask(self._keys.plan_cancel, request, timeout=timeout).was_running
 
     def settings(self, /, **changes: Unpack[Settings]) -> PlannerSettings:
         """Default options of plans, after these changes: `settings(margin=0.01)`."""
         if not changes:
-            return self.connection.read(self._keys.settings, PlannerSettings)
-        return self._ask(self._keys.settings, PlannerSettings, made(SettingsChange, **changes))
+            return self.connection.read(self._keys.settings)
+        return self._ask(self._keys.settings, made(SettingsChange, **changes))

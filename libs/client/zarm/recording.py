@@ -48,7 +48,7 @@ class Recorder:
         self._listening: list[Callable[[], None]] = []
         try:
             recorded = Recorded(connection.keys)
-            for key in recorded.models:
+            for key in recorded.keys:
                 listen = connection.bus.follow if key in recorded.present else connection.bus.listen
                 self._listening.append(listen(key, self._put))
         except BaseException:

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 from zarm.connection import keys_of, opened
 from zarm.interrupts import SLICE, CtrlC, Interrupts
 from zarm.record_story import Story, robot_of, tell
-from zarm_contract.access import Role
 from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
+from zarm_contract.roles import Role
 from zarm_runtime.bus import Bus, Publisher
 from zarm_runtime.recorded import Recorded
 
@@ -71,16 +71,16 @@ def _publish(bus: Bus, keys: Keys, entries: Iterator[Entry], speed: float, inter
     count = 0
     for stamp, key, payload in itertools.chain((first,), entries):
         place.hold_until(start + (stamp - began) / 1e9 / speed)
-        model = recorded.model(key)
-        if model is None or key in moving:
+        published = recorded.key(key)
+        if published is None or key in moving:
             continue
         try:
-            message = decode(model, payload)
+            message = decode(published.model, payload)
         except InvalidRequest:  # an invalid message, recorded as it was
             continue
         name = "/".join(("zarm", keys.robot, *key.split("/")[2:]))
         if name not in publishers:
-            publishers[name] = bus.publisher(name, model)
+            publishers[name] = bus.publisher(published.at(name))
         publishers[name].put(message)
         count += 1
     return count

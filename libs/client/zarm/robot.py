@@ -13,7 +13,7 @@ from zarm.planning import Planning
 from zarm.scene import Scene
 from zarm.values import Pose
 from zarm_contract.errors import ExecutionRefused
-from zarm_contract.messages import ExecutorState, Health, JointState
+from zarm_contract.messages import ExecutorState, Health, JointState, Nothing
 
 if TYPE_CHECKING:
     from zarm.recording import Recorder
@@ -35,15 +35,15 @@ class Robot(Planning, Kinematics, ClosedLoop):
 
     def state(self) -> ExecutorState:
         """The present state of the executor."""
-        return self.connection.read(self._keys.executor_state, ExecutorState)
+        return self.connection.read(self._keys.executor_state)
 
     def states(self) -> Generator[ExecutorState]:
         """The present state of the executor, then every change; endless."""
-        return self.connection.latched(self._keys.executor_state, ExecutorState)
+        return self.connection.latched(self._keys.executor_state)
 
     def joint_state(self) -> JointState:
         """The next measured joint state (rad, rad/s). Raises ExecutionRefused (`no_joint_state`) if none arrives."""
-        state = self.connection.next(self._keys.joint_states, JointState, _MEASURED_SECONDS)
+        state = self.connection.next(self._keys.joint_states, _MEASURED_SECONDS)
         if state is None:
             raise ExecutionRefused(
                 f"no joint state of {self.name} came within {_MEASURED_SECONDS:g} s; `zarm status` shows whether its executor "
@@ -54,7 +54,7 @@ class Robot(Planning, Kinematics, ClosedLoop):
 
     def joint_states(self) -> Generator[JointState]:
         """Measured joint states (rad, rad/s), endless; a loop that is slower gets the newest."""
-        return self.connection.published(self._keys.joint_states, JointState)
+        return self.connection.published(self._keys.joint_states)
 
     def tip(self) -> Pose:
         """The present pose of the tip."""
@@ -62,7 +62,7 @@ class Robot(Planning, Kinematics, ClosedLoop):
 
     def health(self, service: str, *, timeout: float = ANSWER_SECONDS) -> Health:
         """The health of a service: `planner`, `executor`, ..."""
-        return self._ask(self._keys.health(service), Health, timeout=timeout)
+        return self._ask(self._keys.health(service), Nothing(), timeout=timeout)
 
     def record(self, file: str | Path) -> Recorder:
         """Write what happens to the robot to an MCAP file, which Foxglove and `zarm replay` open, as long as the block lasts.

@@ -110,7 +110,7 @@ class Scene:
             message = ObjectPose.model_validate(fields)
         except ValidationError as error:
             raise invalid("the pose", error, fields) from None
-        self.connection.publisher(self.connection.keys.object_pose(known), ObjectPose).put(message)
+        self.connection.publisher(self.connection.keys.object_pose(known)).put(message)
 
     def load(self, file: str | Path) -> SceneEdited:
         """Replace every object by those of a YAML file as `save` writes it: a list `objects` with the fields of each.
@@ -150,7 +150,7 @@ class Scene:
 
     def read(self) -> SceneMessage:
         """The whole scene as one message."""
-        return self.connection.read(self.connection.keys.scene, SceneMessage)
+        return self.connection.read(self.connection.keys.scene)
 
     def occupancy(self, resolution: float = 0.05) -> Occupancy:
         """The cubes with edges of `resolution` m that objects occupy."""
@@ -158,11 +158,11 @@ class Scene:
             request = OccupancyRequest(resolution=resolution)
         except ValidationError as error:
             raise invalid("occupancy", error) from None
-        return self.connection.ask(self.connection.keys.occupancy, Occupancy, request, timeout=_BATCH_SECONDS)
+        return self.connection.ask(self.connection.keys.occupancy, request, timeout=_BATCH_SECONDS)
 
     def apply(self, edit: SceneEdit, *, timeout: float = EDIT_SECONDS) -> SceneEdited:
         """Apply an edit given as a message."""
-        return self.connection.ask(self.connection.keys.scene_edit, SceneEdited, edit, timeout=timeout)
+        return self.connection.ask(self.connection.keys.scene_edit, edit, timeout=timeout)
 
     def _edit(self, **edit: object) -> SceneEdited:
         data = {"edit": edit}

@@ -12,11 +12,9 @@ from zarm.connection import Connection
 from zarm.values import invalid, numbers
 from zarm_contract.errors import DeadlineExceeded, InvalidRequest, Unavailable, from_problem
 from zarm_contract.messages import (
-    Accepted,
     GoalState,
     JointSpeedTarget,
     JointTarget,
-    Nothing,
     Pose,
     PoseTarget,
     ServoEnd,
@@ -45,12 +43,12 @@ class _Session:
         self._connection = connection
         self._sequence = 0
         self._state: ServoSession | None = None
-        self._publisher = connection.publisher(connection.keys.servo_target, ServoTarget)
+        self._publisher = connection.publisher(connection.keys.servo_target)
         connection.interrupts.attend(connection.goals.listen)
-        started = connection.ask(connection.keys.servo_start, Accepted, request, timeout=_START_SECONDS)
+        started = connection.ask(connection.keys.servo_start, request, timeout=_START_SECONDS)
         self.goal_id = started.goal_id
         self._unwatch = connection.interrupts.attend(
-            lambda: connection.bus.watch(connection.keys.servo_state, ServoState, self._hear)
+            lambda: connection.bus.watch(connection.keys.servo_state, self._hear)
         )
 
     @property
@@ -69,7 +67,7 @@ class _Session:
         try:
             if self.running:
                 request = ServoEnd(goal_id=self.goal_id)
-                self._connection.ask(self._connection.keys.servo_end, Nothing, request, timeout=_END_SECONDS)
+                self._connection.ask(self._connection.keys.servo_end, request, timeout=_END_SECONDS)
         finally:
             self._unwatch()
         self._raise()

@@ -25,7 +25,7 @@ class Stream:
         self._deadline = deadline
         self._newest: StreamChunk | None = None
         self._began = 0.0
-        self._publisher = connection.publisher(connection.keys.stream, StreamChunk)
+        self._publisher = connection.publisher(connection.keys.stream)
         connection.interrupts.attend(connection.goals.listen)
         connection.interrupts.attend(self._wait_heard)
 

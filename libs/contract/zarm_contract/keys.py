@@ -1,11 +1,64 @@
-"""Every key expression of the bus, built only here: `zarm/<robot>/<service>/<noun-or-verb>`."""
+"""Every key of the bus, declared only here: `zarm/<robot>/<service>/<noun-or-verb>`."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import get_args
+
+from zarm_contract.key import Family, Key, Latched, OfService, Query, Setting, Token, Topic
+from zarm_contract.messages import (
+    Accepted,
+    Authority,
+    CancelledPlan,
+    CancelPlan,
+    CancelRequest,
+    CheckRequest,
+    CheckResults,
+    DriverCommand,
+    DriverFault,
+    DriverProgress,
+    ExecuteRequest,
+    ExecutorState,
+    FkPoses,
+    FkRequest,
+    GoalState,
+    GoalTrajectory,
+    Health,
+    IkRequest,
+    IkSolutions,
+    JointState,
+    Message,
+    Nothing,
+    ObjectPose,
+    Occupancy,
+    OccupancyRequest,
+    Plan,
+    Planners,
+    PlannerSettings,
+    PlanRequest,
+    ReplaceTrajectory,
+    Scene,
+    SceneEdit,
+    SceneEdited,
+    SceneObject,
+    ServoEnd,
+    ServoStart,
+    ServoState,
+    ServoTarget,
+    SettingsChange,
+    Speed,
+    SpeedRequest,
+    Strategies,
+    StrategyRequest,
+    StreamChunk,
+    Trajectory,
+)
+from zarm_contract.roles import DRIVES, EVERYONE, SERVICE_ROLES
 
 _ROBOT = re.compile(r"[a-z][a-z0-9_]{0,63}")
+_OBJECTS = get_args(get_args(SceneObject)[0])
 
 
 @dataclass(frozen=True)
@@ -20,219 +73,291 @@ class Keys:
                 f"robot name {self.robot!r}: use lower case letters, digits and _, beginning with a letter"
             )
 
-    def _key(self, *chunks: str) -> str:
-        return "/".join(("zarm", self.robot, *chunks))
-
-    # planner: queries
-    @property
-    def plan(self) -> str:
-        """PlanRequest -> Plan. Plan a verified motion; nothing moves."""
-        return self._key("planner", "plan")
-
-    @property
-    def plan_cancel(self) -> str:
-        """CancelPlan -> CancelledPlan. End the planning of one request."""
-        return self._key("planner", "cancel")
-
-    @property
-    def ik(self) -> str:
-        """IkRequest -> IkSolutions. Inverse kinematics of up to 1000 poses."""
-        return self._key("planner", "ik")
-
-    @property
-    def fk(self) -> str:
-        """FkRequest -> FkPoses. Forward kinematics of up to 1000 joint vectors."""
-        return self._key("planner", "fk")
-
-    @property
-    def check(self) -> str:
-        """CheckRequest -> CheckResults. Exact distances of joint vectors to the scene and of the robot to itself."""
-        return self._key("planner", "check")
-
-    @property
-    def occupancy(self) -> str:
-        """OccupancyRequest -> Occupancy. The grid cells that objects of the scene reach into."""
-        return self._key("planner", "occupancy")
-
-    @property
-    def settings(self) -> str:
-        """SettingsChange -> PlannerSettings. Defaults for plan requests; an empty request reads them."""
-        return self._key("planner", "settings")
-
-    @property
-    def planners(self) -> str:
-        """Planners. The planners that a request may name."""
-        return self._key("planner", "planners")
-
-    @property
-    def plans(self) -> str:
-        """Plan. Every successful plan."""
-        return self._key("planner", "plans")
+    # planner
+    plan = Query(
+        "planner/plan",
+        PlanRequest,
+        Plan,
+        "Plan a verified motion; nothing moves.",
+        to="planner",
+        by=(*DRIVES, "servo"),  # which replans around obstacles
+    )
+    plan_cancel = Query(
+        "planner/cancel", CancelPlan, CancelledPlan, "End the planning of one request.", to="planner", by=DRIVES
+    )
+    ik = Query("planner/ik", IkRequest, IkSolutions, "Inverse kinematics of up to 1000 poses.", to="planner", by=DRIVES)
+    fk = Query(
+        "planner/fk",
+        FkRequest,
+        FkPoses,
+        "Forward kinematics of up to 1000 joint vectors.",
+        to="planner",
+        by=EVERYONE,  # for the tip's pose
+    )
+    check = Query(
+        "planner/check",
+        CheckRequest,
+        CheckResults,
+        "Exact distances of joint vectors to the scene and of the robot to itself.",
+        to="planner",
+        by=EVERYONE,  # for clearances
+    )
+    occupancy = Query(
+        "planner/occupancy",
+        OccupancyRequest,
+        Occupancy,
+        "The grid cells that objects of the scene reach into.",
+        to="planner",
+        by=DRIVES,
+    )
+    settings = Setting(
+        "planner/settings",
+        SettingsChange,
+        PlannerSettings,
+        "Defaults for plan requests; an empty request reads them.",
+        of="planner",
+        by=DRIVES,
+    )
+    planners = Latched("planner/planners", Planners, "The planners that a request may name.", of="planner")
+    plans = Latched("planner/plans", Plan, "Every successful plan.", of="planner", recorded="value and changes")
 
     # scene, owned by the planner service
-    @property
-    def scene(self) -> str:
-        """Scene. The whole scene."""
-        return self._key("scene")
-
-    def scene_object(self, name: str) -> str:
-        """Cuboid, Sphere, Capsule, Cylinder, Mesh or Voxels. One object of the scene; `name` may be `*`."""
-        return self._key("scene", "object", name)
-
-    def object_pose(self, name: str) -> str:
-        """ObjectPose. Where an object of the scene is and how it moves, at up to 100 Hz; `name` may be `*`."""
-        return self._key("scene", "object", name, "pose")
-
-    @property
-    def scene_revision(self) -> str:
-        """SceneEdited. Only the present revision, for clients that need no more."""
-        return self._key("scene", "revision")
-
-    @property
-    def scene_edit(self) -> str:
-        """SceneEdit -> SceneEdited. Change the scene; an edit is applied as a whole or not at all."""
-        return self._key("scene", "edit")
+    scene = Latched("scene", Scene, "The whole scene.", of="planner")
+    scene_object = Family(
+        Latched(
+            "scene/object/<name>",
+            Message,
+            "One object of the scene; `name` may be `*`.",
+            of="planner",
+            subclasses=_OBJECTS,
+        )
+    )
+    object_pose = Family(
+        Topic(
+            "scene/object/<name>/pose",
+            ObjectPose,
+            "Where an object of the scene is and how it moves, at up to 100 Hz; `name` may be `*`.",
+            by=DRIVES,  # like edits of the scene
+            realtime=True,
+        )
+    )
+    scene_revision = Latched(
+        "scene/revision",
+        SceneEdited,
+        "Only the present revision, for clients that need no more.",
+        of="planner",
+        recorded="value and changes",
+    )
+    scene_edit = Query(
+        "scene/edit",
+        SceneEdit,
+        SceneEdited,
+        "Change the scene; an edit is applied as a whole or not at all.",
+        to="planner",
+        by=DRIVES,
+    )
 
     # executor
-    @property
-    def execute(self) -> str:
-        """ExecuteRequest -> Accepted. Start a goal: the last plan, a plan by its id, or any trajectory."""
-        return self._key("executor", "execute")
-
-    def goal(self, goal_id: str) -> str:
-        """GoalState. One goal, from acceptance to its end; `goal_id` may be `*`."""
-        return self._key("executor", "goal", goal_id)
-
-    @property
-    def cancel(self) -> str:
-        """CancelRequest -> ExecutorState. Cancel one goal, or whichever runs; the robot brakes to rest."""
-        return self._key("executor", "cancel")
-
-    @property
-    def stop(self) -> str:
-        """Nothing -> ExecutorState. Brake to rest now; also ends goals that have not started yet."""
-        return self._key("executor", "stop")
-
-    @property
-    def pause(self) -> str:
-        """Nothing -> ExecutorState. Brake to rest and keep the goal."""
-        return self._key("executor", "pause")
-
-    @property
-    def resume(self) -> str:
-        """Nothing -> ExecutorState. Continue the paused goal."""
-        return self._key("executor", "resume")
-
-    @property
-    def reset(self) -> str:
-        """Nothing -> ExecutorState. Leave `fault`."""
-        return self._key("executor", "reset")
-
-    @property
-    def strategy(self) -> str:
-        """StrategyRequest -> Strategies. Switch the control strategy; an empty request reads it."""
-        return self._key("executor", "strategy")
-
-    @property
-    def speed(self) -> str:
-        """SpeedRequest -> Speed. Scale the speed, also in motion; an empty request reads it."""
-        return self._key("executor", "speed")
-
-    @property
-    def stream(self) -> str:
-        """StreamChunk. The next motion from a closed-loop planner."""
-        return self._key("executor", "stream")
-
-    @property
-    def authority(self) -> str:
-        """Authority. How far the running goal may go, from the servo."""
-        return self._key("executor", "authority")
-
-    @property
-    def replace(self) -> str:
-        """ReplaceTrajectory -> Accepted. Go on along another trajectory to the same goal, in motion or from rest; asked by the servo."""
-        return self._key("executor", "replace")
-
-    @property
-    def goal_trajectory(self) -> str:
-        """GoalTrajectory. The trajectory that is followed, from the last goal on."""
-        return self._key("executor", "trajectory")
-
-    @property
-    def executor_state(self) -> str:
-        """ExecutorState. Mode, active goal and problem of the executor."""
-        return self._key("executor", "state")
+    execute = Query(
+        "executor/execute",
+        ExecuteRequest,
+        Accepted,
+        "Start a goal: the last plan, a plan by its id, or any trajectory.",
+        to="executor",
+        by=DRIVES,
+    )
+    goal = Family(
+        Latched(
+            "executor/goal/<goal_id>",
+            GoalState,
+            "One goal, from acceptance to its end; `goal_id` may be `*`.",
+            of="executor",
+            recorded="changes",
+        )
+    )
+    cancel = Query(
+        "executor/cancel",
+        CancelRequest,
+        ExecutorState,
+        "Cancel one goal, or whichever runs; the robot brakes to rest.",
+        to="executor",
+        by=DRIVES,
+    )
+    stop = Query(
+        "executor/stop",
+        Nothing,
+        ExecutorState,
+        "Brake to rest now; also ends goals that have not started yet.",
+        to="executor",
+        by=EVERYONE,  # who sees that a robot must stop may stop it, even a viewer
+    )
+    pause = Query(
+        "executor/pause", Nothing, ExecutorState, "Brake to rest and keep the goal.", to="executor", by=DRIVES
+    )
+    resume = Query("executor/resume", Nothing, ExecutorState, "Continue the paused goal.", to="executor", by=DRIVES)
+    reset = Query("executor/reset", Nothing, ExecutorState, "Leave `fault`.", to="executor", by=DRIVES)
+    strategy = Setting(
+        "executor/strategy",
+        StrategyRequest,
+        Strategies,
+        "Switch the control strategy; an empty request reads it.",
+        of="executor",
+        by=DRIVES,
+        recorded="value and changes",
+    )
+    speed = Setting(
+        "executor/speed",
+        SpeedRequest,
+        Speed,
+        "Scale the speed, also in motion; an empty request reads it.",
+        of="executor",
+        by=DRIVES,
+        recorded="value and changes",
+    )
+    stream = Topic(
+        "executor/stream",
+        StreamChunk,
+        "The next motion from a closed-loop planner.",
+        by=(*DRIVES, "servo"),
+        realtime=True,
+        recorded="changes",
+    )
+    authority = Topic(
+        "executor/authority",
+        Authority,
+        "How far the running goal may go, from the servo.",
+        by=("servo",),
+        realtime=True,
+        recorded="changes",
+    )
+    replace = Query(
+        "executor/replace",
+        ReplaceTrajectory,
+        Accepted,
+        "Go on along another trajectory to the same goal, in motion or from rest; asked by the servo.",
+        to="executor",
+        by=("servo",),
+    )
+    goal_trajectory = Latched(
+        "executor/trajectory", GoalTrajectory, "The trajectory that is followed, from the last goal on.", of="executor"
+    )
+    executor_state = Latched(
+        "executor/state",
+        ExecutorState,
+        "Mode, active goal and problem of the executor.",
+        of="executor",
+        recorded="value and changes",
+    )
 
     # servo
-    @property
-    def servo_start(self) -> str:
-        """ServoStart -> Accepted. Open a session, in which the robot follows a live target."""
-        return self._key("servo", "start")
-
-    @property
-    def servo_end(self) -> str:
-        """ServoEnd -> Nothing. Bring the robot to rest and end the session."""
-        return self._key("servo", "end")
-
-    @property
-    def servo_target(self) -> str:
-        """ServoTarget. The live target of the session."""
-        return self._key("servo", "target")
-
-    @property
-    def servo_state(self) -> str:
-        """ServoState. What the servo does, and in which scene."""
-        return self._key("servo", "state")
+    servo_start = Query(
+        "servo/start",
+        ServoStart,
+        Accepted,
+        "Open a session, in which the robot follows a live target.",
+        to="servo",
+        by=DRIVES,
+    )
+    servo_end = Query(
+        "servo/end", ServoEnd, Nothing, "Bring the robot to rest and end the session.", to="servo", by=DRIVES
+    )
+    servo_target = Topic("servo/target", ServoTarget, "The live target of the session.", by=DRIVES, realtime=True)
+    servo_state = Latched(
+        "servo/state", ServoState, "What the servo does, and in which scene.", of="servo", recorded="changes"
+    )
 
     # driver: what a robot's driver takes from the executor, and tells it
-    @property
-    def driver_command(self) -> str:
-        """DriverCommand. Exactly what the executor sends to the driver."""
-        return self._key("driver", "command")
-
-    @property
-    def driver_progress(self) -> str:
-        """DriverProgress. How much of the command the driver has played."""
-        return self._key("driver", "progress")
-
-    @property
-    def driver_joint_states(self) -> str:
-        """JointState. What the driver measures, in its own joint order."""
-        return self._key("driver", "joint_states")
-
-    @property
-    def simulated_fault(self) -> str:
-        """DriverFault -> Nothing. Give the simulated driver a fault; an empty request ends all faults."""
-        return self._key("leeloo_sim", "fault")
+    driver_command = Topic(
+        "driver/command",
+        DriverCommand,
+        "Exactly what the executor sends to the driver.",
+        by=("executor",),
+        realtime=True,
+        recorded="changes",
+    )
+    driver_progress = Topic(
+        "driver/progress",
+        DriverProgress,
+        "How much of the command the driver has played.",
+        by=("driver", "bridge"),
+        realtime=True,
+        droppable=False,
+        recorded="changes",
+    )
+    driver_joint_states = Topic(
+        "driver/joint_states",
+        JointState,
+        "What the driver measures, in its own joint order.",
+        by=("driver", "bridge"),
+        realtime=True,
+        recorded="changes",
+    )
+    simulated_fault = Query(
+        "leeloo_sim/fault",
+        DriverFault,
+        Nothing,
+        "Give the simulated driver a fault; an empty request ends all faults.",
+        to="driver",
+        by=("operator",),
+    )
 
     # robot and ghost
-    @property
-    def joint_states(self) -> str:
-        """JointState. The measured robot, whatever the strategy."""
-        return self._key("joint_states")
-
-    @property
-    def preview_trajectory(self) -> str:
-        """Trajectory. What the ghost plays."""
-        return self._key("preview", "trajectory")
-
-    @property
-    def preview_joint_states(self) -> str:
-        """JointState. The ghost."""
-        return self._key("preview", "joint_states")
+    joint_states = Topic(
+        "joint_states",
+        JointState,
+        "The measured robot, whatever the strategy.",
+        by=("executor",),
+        realtime=True,
+        recorded="changes",
+    )
+    preview_trajectory = Topic("preview/trajectory", Trajectory, "What the ghost plays.", by=("executor",))
+    preview_joint_states = Topic("preview/joint_states", JointState, "The ghost.", by=("executor",))
 
     # every service
-    def health(self, service: str) -> str:
-        """Nothing -> Health. What the service is and whether it is ready."""
-        return self._key(service, "health")
+    health = OfService(
+        Query(
+            "<service>/health",
+            Nothing,
+            Health,
+            "What the service is and whether it is ready.",
+            by=EVERYONE,
+            readable=True,
+        )
+    )
+    reread = OfService(
+        Query(
+            "<service>/reread",
+            Nothing,
+            Health,
+            "Read the robot's files again; the service restarts itself where they have changed.",
+            by=DRIVES,
+        )
+    )
+    alive = OfService(
+        Token(
+            "<service>/@alive/<instance>",
+            "It exists as long as the service runs; `service` and `instance` may be `*`.",
+        )
+    )
 
-    def reread(self, service: str) -> str:
-        """Nothing -> Health. Read the robot's files again; the service restarts itself where they have changed."""
-        return self._key(service, "reread")
 
-    def alive(self, service: str, instance: str) -> str:
-        """Liveliness token. It exists as long as the service runs; `service` and `instance` may be `*`."""
-        return self._key(service, "@alive", instance)
+def declared() -> dict[str, Key]:
+    """Each attribute of `Keys` as the key of any robot and, where it contains a name, of any name."""
+    return {
+        name: member.key if isinstance(member, Family) else member
+        for name, member in vars(Keys).items()
+        if isinstance(member, Key | Family)
+    }
+
+
+def every_key() -> Iterator[Key]:
+    """The keys of any robot, with those of each service."""
+    for member in vars(Keys).values():
+        if isinstance(member, OfService):
+            others = ["*"] * (member.key.path.count("<") - 1)
+            yield from (member(service, *others) for service in SERVICE_ROLES)
+        elif isinstance(member, Key | Family):
+            yield member.key if isinstance(member, Family) else member
 
 
 ALL_ALIVE = "zarm/*/*/@alive/*"

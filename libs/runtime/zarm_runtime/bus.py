@@ -14,16 +14,18 @@ from typing import Any, Self, TypeVar
 import zenoh
 from zenoh.handlers import FifoChannel
 
-from zarm_contract.access import Role, Verb, reading, require
+from zarm_contract.access import Verb, reading, require
 from zarm_contract.codec import MAX_BYTES, encode
 from zarm_contract.errors import InvalidRequest
+from zarm_contract.key import Latched, Published, Query, Token
 from zarm_contract.keys import ALL_CLIENTS, client_token, parse_alive
 from zarm_contract.messages import Message, Requester
+from zarm_contract.roles import Role
 from zarm_runtime.arrivals import Arrivals
 from zarm_runtime.following import Following
 from zarm_runtime.publications import (
     Encoded,
-    Latched,
+    LatchedPublisher,
     Latest,
     Observer,
     Publisher,
@@ -38,7 +40,7 @@ from zarm_runtime.quota import Quota
 from zarm_runtime.security import client_role, security_on
 from zarm_runtime.session import DEFAULT_ENDPOINT, open_client, spoken
 
-__all__ = ["Bus", "Latched", "Latest", "Publisher"]
+__all__ = ["Bus", "LatchedPublisher", "Latest", "Publisher"]
 
 log = logging.getLogger(__name__)
 
@@ -125,14 +127,12 @@ class Bus:
 
     def serve(
         self,
-        key: str,
-        request: type[Request],
-        handler: Callable[[Request], Message | Encoded],
+        key: Query[Request, Reply],
+        handler: Callable[[Request], Reply | Encoded],
         *,
         workers: int = 2,
         backlog: int = 16,
         shared: bool = False,
-        readable: bool = False,
     ) -> None:
         """Answer queries on `key` with `handler(request)`, run by up to `workers` threads of this key's own.
 
@@ -145,17 +145,15 @@ class Bus:
         robot; `readable` keys, where an empty request reads, answer it if it carries no payload.
         """
         room = Quota(key, workers + backlog, shared=shared)
-        self._serve(key, request, lambda asked, _: handler(asked), workers, room, readable=readable, in_order=False)
+        self._serve(key, lambda asked, _: handler(asked), workers, room, in_order=False)
 
     def serve_in_order(
         self,
-        key: str,
-        request: type[Request],
-        handler: Callable[[Request, int], Message | Encoded],
+        key: Query[Request, Reply],
+        handler: Callable[[Request, int], Reply | Encoded],
         *,
         workers: int = 2,
         backlog: int = 16,
-        readable: bool = False,
         overtaken: bool = True,
     ) -> None:
         """Like `serve`, but `handler(request, arrival)` is also given the arrival number of each query.
@@ -165,29 +163,25 @@ class Bus:
         after it; if it came within some milliseconds after it, it may have a smaller one.
         """
         room = Quota(key, workers + backlog, shared=False)
-        self._serve(key, request, handler, workers, room, readable=readable, in_order=True, overtaken=overtaken)
+        self._serve(key, handler, workers, room, in_order=True, overtaken=overtaken)
 
     def _serve(
         self,
-        key: str,
-        request: type[Request],
-        handler: Callable[[Request, int], Message | Encoded],
+        key: Query[Request, Reply],
+        handler: Callable[[Request, int], Reply | Encoded],
         workers: int,
         room: Quota,
         *,
-        readable: bool,
         in_order: bool,
         overtaken: bool = True,
     ) -> None:
         self._require("answers", key)
         served = Served(
             key,
-            request,
             handler,
             workers,
             room,
             lambda name, outcome: self._answered(name, outcome),  # watchers may be added later
-            readable=readable,
         )
         self._pools += served.pools
         if in_order:
@@ -197,7 +191,7 @@ class Bus:
             queryable = self._session.declare_queryable(key, served.admit, complete=True)
         self._entities.append(queryable)
 
-    def call(self, key: str, request: Message, reply: type[Reply], *, timeout: float) -> Reply:
+    def call(self, key: Query[Request, Reply], request: Request, *, timeout: float) -> Reply:
         """Send a request and return its answer.
 
         Raises InvalidRequest for a request that no router passes on, the service's ZarmError, Unavailable if nobody
@@ -214,7 +208,7 @@ class Bus:
         return ask(
             self._session,
             key,
-            reply,
+            key.reply,
             timeout,
             self.role,
             payload=payload,
@@ -222,9 +216,9 @@ class Bus:
             attachment=encode(requester),
         )
 
-    def read(self, key: str, model: type[Reply], *, timeout: float) -> Reply:
-        """The present value of a latched or readable key. Raises Unavailable and InternalError as `call` does."""
-        return ask(self._session, reading(key), model, timeout, self.role)
+    def read(self, key: Latched[M], *, timeout: float) -> M:
+        """The present value of a key. Raises Unavailable and InternalError as `call` does."""
+        return ask(self._session, reading(key), key.model, timeout, self.role)
 
     def _arrivals(self) -> Arrivals:
         if self._ordered is None:
@@ -233,51 +227,44 @@ class Bus:
 
     # -- publications --
 
-    def publisher(
-        self, key: str, model: type[M], *, realtime: bool = False, droppable: bool | None = None
-    ) -> Publisher[M]:
-        """Publish messages of one class on `key`. `realtime`: express, highest priority.
-
-        On a congested link, `droppable` messages are dropped rather than queued; by default those that are `realtime`.
-        """
-        drop = realtime if droppable is None else droppable
+    def publisher(self, key: Published[M]) -> Publisher[M]:
+        """The means to publish messages on `key`."""
         self._require("publishes", key)
         entity = self._session.declare_publisher(
             key,
-            encoding=encoding_of(model),
-            congestion_control=zenoh.CongestionControl.DROP if drop else zenoh.CongestionControl.BLOCK,
-            priority=zenoh.Priority.REAL_TIME if realtime else zenoh.Priority.DATA,
-            express=realtime,
+            encoding=encoding_of(key.model),
+            congestion_control=zenoh.CongestionControl.DROP if key.droppable else zenoh.CongestionControl.BLOCK,
+            priority=zenoh.Priority.REAL_TIME if key.realtime else zenoh.Priority.DATA,
+            express=key.realtime,
         )
         self._entities.append(entity)
         return Publisher(entity, self._observe)
 
-    def latched(self, key: str, model: type[M]) -> Latched[M]:
-        """A value that is published on every change, and answered on request.
+    def latched(self, key: Latched[M]) -> LatchedPublisher[M]:
+        """A value that is published on every change, and answered on request; a family of values, if `key` ends in
+        `/*`.
 
-        `key` may end in `/*`: then it is a family of values, each under its own key; `model` may be a common base
-        class. A key that also takes requests (settings, strategy) is not latched but served and published: `serve`
-        answers reads, and a key has only one queryable.
+        A `Setting` is not latched but served and published: `serve` answers reads, and a key has only one queryable.
         """
         self._require("answers", key)
-        latched: Latched[M] = Latched(self._session, key, self._observe)
+        latched: LatchedPublisher[M] = LatchedPublisher(self._session, key, self._observe)
         self._entities.append(latched)
         return latched
 
-    def subscribe(self, key: str, model: type[M], callback: Callable[[str, M], None]) -> Callable[[], None]:
+    def subscribe(self, key: Published[M], callback: Callable[[str, M], None]) -> Callable[[], None]:
         """Call `callback(key, message)` for each message on `key`, one at a time. It must return quickly. Returns a
         function that ends it.
 
         Unreadable messages are logged and dropped; so are exceptions of the callback.
         """
-        return self.listen(key, lambda name, payload: deliver(name, payload, model, callback))
+        return self.listen(key, lambda name, payload: deliver(name, payload, key.model, callback))
 
-    def subscribe_timed(self, key: str, model: type[M], callback: Callable[[M, float], None]) -> None:
+    def subscribe_timed(self, key: Published[M], callback: Callable[[M, float], None]) -> None:
         """Like `subscribe`, but the callback is also given the time of arrival (s, monotonic), before decoding."""
 
         def receive(name: str, payload: bytes) -> None:
             arrived = time.monotonic()
-            deliver(name, payload, model, lambda _, message: callback(message, arrived))
+            deliver(name, payload, key.model, lambda _, message: callback(message, arrived))
 
         self.listen(key, receive)
 
@@ -290,7 +277,7 @@ class Bus:
         return self._listen(key, lambda name, payload, _: callback(name, payload), in_order=False)
 
     def subscribe_in_order(
-        self, key: str, model: type[M], callback: Callable[[str, M, int], None], *, backlog: int = 64
+        self, key: Published[M], callback: Callable[[str, M, int], None], *, backlog: int = 64
     ) -> None:
         """Like `subscribe`, but the callback is also given each message's arrival number, as in `serve_in_order`.
 
@@ -301,7 +288,7 @@ class Bus:
 
         def hand_over(name: str, payload: bytes, arrival: int) -> None:
             try:
-                deliver(name, payload, model, lambda _, message: callback(name, message, arrival))
+                deliver(name, payload, key.model, lambda _, message: callback(name, message, arrival))
             finally:
                 room.release()
 
@@ -340,16 +327,14 @@ class Bus:
 
         return end
 
-    def watch(
-        self, key: str, model: type[M], callback: Callable[[str, M], None], *, timeout: float = 1.0
-    ) -> Callable[[], None]:
+    def watch(self, key: Latched[M], callback: Callable[[str, M], None], *, timeout: float = 1.0) -> Callable[[], None]:
         """Like `subscribe` on a latched key, but with the present values first (waiting for them at most `timeout` s);
         returns a function that ends it.
 
         They are delivered again whenever a lost link to a router is restored, since publications were missed meanwhile.
         The last call for a key always has its newest value.
         """
-        return self.follow(key, lambda name, payload: deliver(name, payload, model, callback), timeout=timeout)
+        return self.follow(key, lambda name, payload: deliver(name, payload, key.model, callback), timeout=timeout)
 
     def follow(self, key: str, callback: Callable[[str, bytes], None], *, timeout: float = 1.0) -> Callable[[], None]:
         """`watch` without decoding: like `listen` on a latched key, but with the present values first."""
@@ -377,16 +362,16 @@ class Bus:
             if self._closing.wait(READ_AGAIN):
                 return
 
-    def latest(self, key: str, model: type[M]) -> Latest[M]:
+    def latest(self, key: Published[M]) -> Latest[M]:
         """The newest message on a high-rate key; it is decoded only when requested."""
-        latest = Latest(self._session, key, model, self._observe)
+        latest = Latest(self._session, key, self._observe)
         self._entities.append(latest)
         return latest
 
     # -- liveliness --
 
-    def declare_alive(self, key: str) -> None:
-        """Show this process on the bus as long as the session lives; `key` is `Keys.alive(service, instance)`."""
+    def declare_alive(self, key: Token) -> None:
+        """Show this process on the bus as long as the session lives."""
         self._require("lives", key)
         self._entities.append(self._session.liveliness().declare_token(key))
 

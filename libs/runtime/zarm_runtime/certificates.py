@@ -14,8 +14,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from zarm_contract.access import Role
 from zarm_contract.errors import InvalidRequest
+from zarm_contract.roles import Role
 from zarm_runtime.security import PAGE
 
 _DAY = 86400.0

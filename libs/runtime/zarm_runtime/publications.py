@@ -13,6 +13,7 @@ import zenoh
 
 from zarm_contract.codec import CONTRACT, decode, encode, other_contract, schema
 from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.key import Published
 from zarm_contract.messages import Message
 
 log = logging.getLogger(__name__)
@@ -71,7 +72,7 @@ class Publisher(Generic[M]):
         return bool(status.matching)
 
 
-class Latched(Generic[M]):
+class LatchedPublisher(Generic[M]):
     """See `Bus.latched`."""
 
     def __init__(self, session: zenoh.Session, key: str, observe: Observer) -> None:
@@ -130,9 +131,8 @@ class Latched(Generic[M]):
 class Latest(Generic[M]):
     """See `Bus.latest`."""
 
-    def __init__(self, session: zenoh.Session, key: str, model: type[M], observe: Observer) -> None:
+    def __init__(self, session: zenoh.Session, key: Published[M], observe: Observer) -> None:
         self._key = key
-        self._model = model
         self._observe = observe
         self._newest: tuple[bytes, float] | None = None
         self._decoded: tuple[tuple[bytes, float], M] | None = None
@@ -178,7 +178,7 @@ class Latest(Generic[M]):
         if decoded is not None and decoded[0] is newest:
             return decoded[1]
         try:
-            message = decode(self._model, newest[0])
+            message = decode(self._key.model, newest[0])
             self._decoded = newest, message
             return message
         except InvalidRequest as error:

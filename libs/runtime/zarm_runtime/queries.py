@@ -12,10 +12,11 @@ from typing import Any, Generic, NoReturn, TypeVar
 
 import zenoh
 
-from zarm_contract.access import Role
 from zarm_contract.codec import CONTRACT, decode, encode, other_contract
 from zarm_contract.errors import Busy, InternalError, InvalidRequest, Problem, Unavailable, ZarmError, from_problem
+from zarm_contract.key import Query
 from zarm_contract.messages import Message, Requester
+from zarm_contract.roles import Role
 from zarm_runtime.publications import Encoded, encoding_of
 from zarm_runtime.quota import Quota
 from zarm_runtime.requester import on_behalf_of, requester_of
@@ -33,7 +34,7 @@ def after_answer(work: Callable[[], object]) -> None:
     _after_answer.get().append(work)
 
 
-class Served(Generic[Request]):
+class Served(Generic[Request, Reply]):
     """A key whose queries are answered by `handler(request, arrival)`, in up to `workers` threads; see `Bus.serve`.
 
     `answered` is called for each query with the key, and `ok`, `unsent` or the code of the problem.
@@ -41,24 +42,21 @@ class Served(Generic[Request]):
 
     def __init__(
         self,
-        key: str,
-        request: type[Request],
-        handler: Callable[[Request, int], Message | Encoded],
+        key: Query[Request, Reply],
+        handler: Callable[[Request, int], Reply | Encoded],
         workers: int,
         room: Quota,
         answered: Callable[[str, str], object],
-        *,
-        readable: bool,
     ) -> None:
-        self._key, self._request, self._handler = key, request, handler
-        self._room, self._answered, self._readable = room, answered, readable
+        self._key, self._handler = key, handler
+        self._room, self._answered = room, answered
         self._pool = ThreadPoolExecutor(workers, thread_name_prefix=key)
         self._refusing = ThreadPoolExecutor(1, thread_name_prefix=f"{key} refuses")
         self.pools = (self._pool, self._refusing)
 
     def admit(self, query: zenoh.Query, arrival: int = 0) -> None:
         """Hand a query to a worker, or refuse it; returns at once."""
-        if str(query.key_expr) != self._key and not (self._readable and query.payload is None):
+        if str(query.key_expr) != self._key and not (self._key.readable and query.payload is None):
             with query:
                 return
         who = requester_of(query)
@@ -83,7 +81,7 @@ class Served(Generic[Request]):
         _after_answer.set(rest)
         try:
             with on_behalf_of(who):
-                self._answer(query, lambda: self._handler(_request(query, self._key, self._request), arrival))
+                self._answer(query, lambda: self._handler(_request(query, self._key), arrival))
         finally:
             self._room.leave(who.client)
         try:
@@ -146,14 +144,14 @@ def ask(
     raise from_problem(problem)
 
 
-def _request(query: zenoh.Query, key: str, model: type[Request]) -> Request:
-    other = None if model.any_contract or query.encoding is None else other_contract(str(query.encoding))
+def _request(query: zenoh.Query, key: Query[Request, Reply]) -> Request:
+    other = None if key.request.any_contract or query.encoding is None else other_contract(str(query.encoding))
     if other is not None:
         raise InvalidRequest(
             f"this request is of contract {other}, and {key} speaks {CONTRACT}; run the same version of zarm on both sides "
             "(`zarm status` shows who runs which)"
         )
-    return decode(model, query.payload.to_bytes() if query.payload is not None else b"")
+    return decode(key.request, query.payload.to_bytes() if query.payload is not None else b"")
 
 
 def _refuse(error: ZarmError) -> NoReturn:

@@ -2,52 +2,34 @@
 
 from __future__ import annotations
 
-from zarm_contract.keys import Keys
-from zarm_contract.messages import (
-    Authority,
-    DriverCommand,
-    DriverProgress,
-    ExecutorState,
-    GoalState,
-    JointState,
-    Message,
-    Plan,
-    SceneEdited,
-    ServoState,
-    Speed,
-    Strategies,
-    StreamChunk,
-)
+from typing import Any
+
+from zarm_contract.key import Published
+from zarm_contract.keys import Keys, every_key
+from zarm_contract.messages import Message
 
 
 class Recorded:
-    """The recorded keys of one robot. The preview and the trajectories of goals are left out: they follow from plans
-    and streams.
+    """The recorded keys of one robot.
 
-    `models` are the classes by key expression (goals are the family `executor/goal/*`); `present` are the keys that
-    answer with their present value, so that a record can begin with the values that held before.
+    `keys` are they by key expression (goals are the family `executor/goal/*`); `present` are the keys whose value
+    from before is recorded too.
     """
 
     def __init__(self, keys: Keys) -> None:
-        self.models: dict[str, type[Message]] = {
-            keys.plans: Plan,
-            keys.scene_revision: SceneEdited,
-            keys.executor_state: ExecutorState,
-            keys.goal("*"): GoalState,
-            keys.authority: Authority,
-            keys.servo_state: ServoState,
-            keys.strategy: Strategies,
-            keys.speed: Speed,
-            keys.stream: StreamChunk,
-            keys.joint_states: JointState,
-            keys.driver_command: DriverCommand,
-            keys.driver_progress: DriverProgress,
-            keys.driver_joint_states: JointState,
-        }
-        self.present = frozenset((keys.plans, keys.scene_revision, keys.executor_state, keys.strategy, keys.speed))
+        recorded = [
+            key.of_robot(keys.robot) for key in every_key() if isinstance(key, Published) and key.recorded is not None
+        ]
+        self.keys: dict[str, Published[Any]] = {key: key for key in recorded}
+        self.present = frozenset(key for key in recorded if key.recorded == "value and changes")
         self._goals = keys.goal("*")
         self._goal = self._goals.removesuffix("*")
 
-    def model(self, key: str) -> type[Message] | None:
-        """The class of the messages on `key`; None if the key is not recorded."""
-        return self.models.get(self._goals if key.startswith(self._goal) else key)
+    def key(self, expression: str) -> Published[Any] | None:
+        """The recorded key with this key expression; None if it is not recorded."""
+        return self.keys.get(self._goals if expression.startswith(self._goal) else expression)
+
+    def model(self, expression: str) -> type[Message] | None:
+        """The class of the messages on a key; None if it is not recorded."""
+        key = self.key(expression)
+        return None if key is None else key.model

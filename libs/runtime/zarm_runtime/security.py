@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 
-from zarm_contract.access import ROLES, Role
 from zarm_contract.errors import InvalidRequest
+from zarm_contract.roles import ROLES, Role
 
 RENEWAL_DAYS = 60
 """Within this time of its end a certificate is renewed by `zarm certs`, and a service that starts with it warns."""

@@ -14,13 +14,13 @@ from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from zarm_contract.access import SERVICE_ROLES, Role
 from zarm_contract.codec import CONTRACT as CONTRACT
 from zarm_contract.codec import build_all
 from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, Nothing
 from zarm_contract.robot import RobotDescription, load_robot
+from zarm_contract.roles import SERVICE_ROLES, Role
 from zarm_runtime import signals
 from zarm_runtime.bus import Bus
 from zarm_runtime.logs import name_robot, setup_logging
@@ -172,8 +172,8 @@ class Service:
             if min(others) < self.instance or time.monotonic() > deadline:
                 raise self.taken(others)
             time.sleep(0.05)
-        self.bus.serve(self.keys.health(self.name), Nothing, self.health, readable=True)
-        self.bus.serve(self.keys.reread(self.name), Nothing, self.reread, workers=1)
+        self.bus.serve(self.keys.health(self.name), self.health)
+        self.bus.serve(self.keys.reread(self.name), self.reread, workers=1)
 
     def older_owner(self) -> str | None:
         """The instance of an owner that was there before this one, if it is on the bus.

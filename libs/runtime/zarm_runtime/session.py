@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 
 import zenoh
 
-from zarm_contract.access import Role, access_control
+from zarm_contract.access import access_control
 from zarm_contract.codec import MAX_BYTES
 from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.roles import Role
 from zarm_runtime.realtime import PROCESS_PRIORITY, realtime_offspring
 from zarm_runtime.security import client_role, security_on
 

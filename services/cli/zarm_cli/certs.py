@@ -11,8 +11,8 @@ import typer
 from rich.table import Table
 
 from zarm_cli.output import out
-from zarm_contract.access import ROLES
 from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.roles import ROLES
 from zarm_runtime.security import PAGE, RENEWAL_DAYS
 
 if TYPE_CHECKING:

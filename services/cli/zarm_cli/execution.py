@@ -126,8 +126,8 @@ def _warn_of_edits(robot: Robot, goal_id: str) -> None:
             err.print(f"zarm: the robot waits: {held_by(goal.hold)}", soft_wrap=True)
         held = goal.hold is not None
 
-    robot.connection.bus.watch(robot.connection.keys.executor_state, ExecutorState, look)
-    robot.connection.bus.watch(robot.connection.keys.goal(goal_id), GoalState, look_at_goal)
+    robot.connection.bus.watch(robot.connection.keys.executor_state, look)
+    robot.connection.bus.watch(robot.connection.keys.goal(goal_id), look_at_goal)
 
 
 def _order(give: Callable[[Robot], ExecutorState], doc: str) -> Callable[[bool, str, str | None], None]:

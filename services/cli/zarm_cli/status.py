@@ -63,7 +63,7 @@ def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: N
         services = {one: _told(partial(robot.health, one)) for one in sorted(found | {*_NEEDED})}
         state, scene = _told(robot.state), _told(robot.scene.read)
         goal_id = None if state is None else state.goal_id
-        goal = None if goal_id is None else _told(partial(bus.read, keys.goal(goal_id), GoalState, timeout=1.0))
+        goal = None if goal_id is None else _told(partial(bus.read, keys.goal(goal_id), timeout=1.0))
     faults = list(mismatches({one: health for one, health in services.items() if health is not None}))
     if as_json:
         print_json(
@@ -195,9 +195,9 @@ def _looks(robot: Robot) -> Iterator[_Look]:
         if len(goals) > 100:
             del goals[next(iter(goals))]
 
-    bus.watch(keys.executor_state, ExecutorState, states.__setitem__)
-    bus.watch(keys.goal("*"), GoalState, keep_goal)
-    newest = bus.latest(keys.joint_states, JointState)
+    bus.watch(keys.executor_state, states.__setitem__)
+    bus.watch(keys.goal("*"), keep_goal)
+    newest = bus.latest(keys.joint_states)
     while True:
         state = states.get(keys.executor_state)
         joints = newest.get(max_age=_STALE)

@@ -10,7 +10,7 @@ import time
 
 from zarm_contract.errors import ZarmError
 from zarm_contract.keys import Keys
-from zarm_contract.messages import JointState, Plan, Trajectory
+from zarm_contract.messages import JointState, Plan
 from zarm_contract.robot import RobotDescription
 from zarm_executor.checks import executable
 from zarm_runtime.bus import Bus
@@ -30,8 +30,8 @@ class Ghost:
     def __init__(self, bus: Bus, keys: Keys, robot: RobotDescription) -> None:
         self._robot = robot
         self._joints = robot.descriptor.joints
-        self._trajectories = bus.publisher(keys.preview_trajectory, Trajectory)
-        self._joint_states = bus.publisher(keys.preview_joint_states, JointState)
+        self._trajectories = bus.publisher(keys.preview_trajectory)
+        self._joint_states = bus.publisher(keys.preview_joint_states)
         self._newest: Plan | None = None
         self._trajectory: TimedTrajectory | None = None
         self._began = self._shown = 0.0

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from zarm_contract.errors import ExecutionFailed, Problem
 from zarm_contract.keys import Keys
-from zarm_contract.messages import ExecutorState, GoalState, GoalTrajectory
+from zarm_contract.messages import ExecutorState, GoalState
 from zarm_executor.goal import Goal
 from zarm_executor.machine import Machine
 from zarm_runtime.bus import Bus
@@ -63,9 +63,9 @@ class Reporter:
             self._count_goal(status, 0)
         for code in ExecutionFailed.codes:
             self._count_fault(code, 0)
-        self._states = bus.latched(keys.executor_state, ExecutorState)
-        self._goals = bus.latched(keys.goal("*"), GoalState)
-        self._trajectories = bus.latched(keys.goal_trajectory, GoalTrajectory)
+        self._states = bus.latched(keys.executor_state)
+        self._goals = bus.latched(keys.goal("*"))
+        self._trajectories = bus.latched(keys.goal_trajectory)
         self._finished: deque[str] = deque()
         self._state: ExecutorState | None = None
         self._published_state = 0.0

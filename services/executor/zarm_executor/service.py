@@ -12,20 +12,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from zarm_contract.messages import (
-    Authority,
-    CancelRequest,
-    ExecuteRequest,
     GoalState,
     JointState,
-    Nothing,
     Plan,
-    ReplaceTrajectory,
-    SceneEdited,
     Speed,
-    SpeedRequest,
-    Strategies,
-    StrategyRequest,
-    StreamChunk,
 )
 from zarm_contract.robot import RobotDescription
 from zarm_executor.admission import REST_PATIENCE, Admission
@@ -127,7 +117,7 @@ def start(service: Service) -> Iterator[None]:
         machine = Machine(first, period, Guard(robot.descriptor), speed_scale=_first_speed(robot, kept_speed))
         bus.urgent = machine.moves
         try:
-            control = Control(machine, joints, command_bus.publisher(keys.joint_states, JointState, realtime=True))
+            control = Control(machine, joints, command_bus.publisher(keys.joint_states))
             loop = Loop("control", period, control.tick, realtime=True)
             reporter = Reporter(
                 bus,
@@ -141,12 +131,10 @@ def start(service: Service) -> Iterator[None]:
             )
             reporter.report_interrupted()
             reporter.publish()
-            plans = Plans(robot.hash, lambda: bus.call(keys.plans, Nothing(), Plan, timeout=PLANNER_PATIENCE))
-            present = PresentScene(
-                machine, lambda: bus.call(keys.scene_revision, Nothing(), SceneEdited, timeout=PLANNER_PATIENCE)
-            )
+            plans = Plans(robot.hash, lambda: bus.read(keys.plans, timeout=PLANNER_PATIENCE))
+            present = PresentScene(machine, lambda: bus.read(keys.scene_revision, timeout=PLANNER_PATIENCE))
             ghost = Ghost(bus, keys, robot)
-            told = bus.publisher(keys.strategy, Strategies), bus.publisher(keys.speed, Speed)
+            told = bus.publisher(keys.strategy), bus.publisher(keys.speed)
             admission = Admission(machine, reporter, robot.descriptor.execution.joint_state_timeout)
             streams = Streams(robot, machine, reporter, admission)
             executor = Executor(robot, machine, reporter, admission, plans, present, strategies, *told, kept_speed)
@@ -157,19 +145,17 @@ def start(service: Service) -> Iterator[None]:
                 Loop("ghost", GHOST_PERIOD, ghost.play),
                 Loop("reporter", REPORTER_PERIOD, reporter.look),
             ):
-                bus.watch(keys.scene_revision, SceneEdited, present.hear)
-                command_bus.subscribe(
-                    keys.authority, Authority, lambda _, authority: machine.hear(authority, time.monotonic())
-                )
+                bus.watch(keys.scene_revision, present.hear)
+                command_bus.subscribe(keys.authority, lambda _, authority: machine.hear(authority, time.monotonic()))
 
                 def receive(key: str, plan: Plan) -> None:
                     plans.add(key, plan)
                     ghost.show(key, plan)
 
-                bus.watch(keys.plans, Plan, receive)
+                bus.watch(keys.plans, receive)
                 service.interruptible, service.ailment = executor.check_idle, watchdog.ailment
                 _serve(bus, service, executor)
-                bus.subscribe_in_order(keys.stream, StreamChunk, streams.receive)
+                bus.subscribe_in_order(keys.stream, streams.receive)
                 _exempt_from_collection()
                 service.ready()
                 try:
@@ -241,20 +227,20 @@ def _wait_for(strategy: Strategy, service: Service) -> None:
 
 def _serve(bus: Bus, service: Service, executor: Executor) -> None:
     keys = service.keys
-    bus.serve_in_order(keys.execute, ExecuteRequest, executor.execute)
-    bus.serve_in_order(keys.strategy, StrategyRequest, executor.strategy, readable=True)
-    bus.serve(keys.replace, ReplaceTrajectory, executor.replace, workers=1)
-    bus.serve(keys.speed, SpeedRequest, executor.speed, readable=True)
+    bus.serve_in_order(keys.execute, executor.execute)
+    bus.serve_in_order(keys.strategy, executor.strategy)
+    bus.serve(keys.replace, executor.replace, workers=1)
+    bus.serve(keys.speed, executor.speed)
     executor.publish_strategies()
     executor.publish_speed()
-    bus.serve_in_order(keys.cancel, CancelRequest, executor.cancel, backlog=COMMAND_BACKLOG, overtaken=False)
+    bus.serve_in_order(keys.cancel, executor.cancel, backlog=COMMAND_BACKLOG, overtaken=False)
     for key, command, overtaken in (
         (keys.stop, executor.stop, False),
         (keys.pause, executor.pause, False),
         (keys.resume, executor.resume, True),
         (keys.reset, executor.reset, True),
     ):
-        bus.serve_in_order(key, Nothing, command, backlog=COMMAND_BACKLOG, overtaken=overtaken)
+        bus.serve_in_order(key, command, backlog=COMMAND_BACKLOG, overtaken=overtaken)
 
 
 def main() -> int:

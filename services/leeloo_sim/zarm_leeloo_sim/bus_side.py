@@ -24,9 +24,9 @@ class BusSide:
 
     def __init__(self, bus: Bus, keys: Keys, axes: Axes) -> None:
         self._bus, self._keys, self._axes = bus, keys, axes
-        self._joints = bus.publisher(keys.driver_joint_states, JointState, realtime=True)
+        self._joints = bus.publisher(keys.driver_joint_states)
         self._expiry = Expiry()
-        self._progress = bus.publisher(keys.driver_progress, DriverProgress, realtime=True, droppable=False)
+        self._progress = bus.publisher(keys.driver_progress)
 
     def listen(self, play: Callable[[Command], None]) -> None:
         """From now on play the commands that arrive in time."""
@@ -47,7 +47,7 @@ class BusSide:
                 )
             )
 
-        self._bus.subscribe_timed(self._keys.driver_command, DriverCommand, received)
+        self._bus.subscribe_timed(self._keys.driver_command, received)
 
     def tell_joints(self, position: Array, velocity: Array) -> None:
         """Publish the joint positions (J,) rad and velocities (J,) rad/s."""

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from zarm_contract.errors import InvalidRequest, Unavailable
-from zarm_contract.messages import DriverFault
 from zarm_leeloo_sim.axes import Axes
 from zarm_leeloo_sim.bus_side import BusSide
 from zarm_leeloo_sim.driver import LeelooDriver
@@ -50,7 +49,7 @@ def start(service: Service) -> Iterator[None]:
             trace,
         )
         side.listen(driver.play)
-        bus.serve(keys.simulated_fault, DriverFault, driver.suffer)
+        bus.serve(keys.simulated_fault, driver.suffer)
         ended = threading.Event()
         thread = threading.Thread(target=driver.run, args=(ended,), name="arm")
         thread.start()

@@ -11,17 +11,10 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from zarm_contract.errors import Unavailable, ZarmError
+from zarm_contract.key import Query
 from zarm_contract.messages import (
-    CancelPlan,
-    CheckRequest,
-    FkRequest,
-    IkRequest,
-    JointState,
     Message,
-    ObjectPose,
-    OccupancyRequest,
     Plan,
-    Planners,
     PlannerSettings,
     PlanRequest,
     Scene,
@@ -45,6 +38,8 @@ from zarm_runtime.state_file import owned
 log = logging.getLogger(__name__)
 
 Request = TypeVar("Request", bound=Message)
+Reply = TypeVar("Reply", bound=Message)
+Answer = TypeVar("Answer")
 
 ROOM = 2 * ((os.cpu_count() or 1) + 16)
 """Requests that may be pending on each key, half of them from one client: one per core, and 16 waiting. Each has its
@@ -69,22 +64,22 @@ def start(service: Service) -> Iterator[None]:
 def _serving(service: Service, store: SceneStore) -> Iterator[None]:
     bus, keys = service.bus, service.keys
     model = RobotModel.of(service.robot)
-    measured = MeasuredJoints(model, bus.latest(keys.joint_states, JointState))
+    measured = MeasuredJoints(model, bus.latest(keys.joint_states))
     handlers = Handlers(model, keys.robot, store, measured, bus.is_there)
     warm = False
 
-    def when_warm(handler: Callable[[Request], Message | Encoded]) -> Callable[[Request], Message | Encoded]:
-        def guarded(request: Request) -> Message | Encoded:
+    def when_warm(handler: Callable[[Request], Answer]) -> Callable[[Request], Answer]:
+        def guarded(request: Request) -> Answer:
             if not warm:
                 raise Unavailable(f"the planner is {service.health().activity}; ask again when its health says ready")
             return handler(request)
 
         return guarded
 
-    def compute(key: str, model: type[Request], handler: Callable[[Request], Message | Encoded]) -> None:
-        bus.serve(key, model, when_warm(handler), workers=ROOM, backlog=0, shared=True)
+    def compute(key: Query[Request, Reply], handler: Callable[[Request], Reply | Encoded]) -> None:
+        bus.serve(key, when_warm(handler), workers=ROOM, backlog=0, shared=True)
 
-    plans = bus.latched(keys.plans, Plan)
+    plans = bus.latched(keys.plans)
 
     def plan(request: PlanRequest) -> Encoded:
         kind = handlers.planner_name(request)
@@ -102,7 +97,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         after_answer(lambda: _report(service.metrics, kind, request.request_id, answer))
         return encoded
 
-    settings = bus.publisher(keys.settings, PlannerSettings)
+    settings = bus.publisher(keys.settings)
 
     def change_settings(change: SettingsChange) -> PlannerSettings:
         answer = handlers.change_settings(change)
@@ -112,15 +107,15 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
 
     try:
         _serve_scene(service, store.scene, handlers.edit, store.notes)
-        bus.subscribe(keys.object_pose("*"), ObjectPose, handlers.moved.hear)
-        bus.serve(keys.settings, SettingsChange, change_settings, workers=1, readable=True)
-        bus.latched(keys.planners, Planners).set(handlers.planners())
-        bus.serve(keys.plan_cancel, CancelPlan, handlers.cancel)
-        bus.serve(keys.fk, FkRequest, when_warm(handlers.fk))
-        compute(keys.plan, PlanRequest, plan)
-        compute(keys.ik, IkRequest, handlers.ik)
-        compute(keys.check, CheckRequest, handlers.check)
-        compute(keys.occupancy, OccupancyRequest, handlers.occupancy)
+        bus.subscribe(keys.object_pose("*"), handlers.moved.hear)
+        bus.serve(keys.settings, change_settings, workers=1)
+        bus.latched(keys.planners).set(handlers.planners())
+        bus.serve(keys.plan_cancel, handlers.cancel)
+        bus.serve(keys.fk, when_warm(handlers.fk))
+        compute(keys.plan, plan)
+        compute(keys.ik, handlers.ik)
+        compute(keys.check, handlers.check)
+        compute(keys.occupancy, handlers.occupancy)
         bus.watch_clients(handlers.leave)
         handlers.warm_up(service.starting)
         gc.freeze()  # collecting loaded objects again and again would at times delay a plan by 0.1 s
@@ -162,9 +157,9 @@ def _serve_scene(
     `notes` returns remarks on what an edit has added.
     """
     bus, keys = service.bus, service.keys
-    revision = bus.latched(keys.scene_revision, SceneEdited)
-    whole = bus.latched(keys.scene, Scene)
-    single = bus.latched(keys.scene_object("*"), Message)
+    revision = bus.latched(keys.scene_revision)
+    whole = bus.latched(keys.scene)
+    single = bus.latched(keys.scene_object("*"))
     shown: tuple[SceneObject, ...] = ()
 
     def show(scene: Scene) -> SceneEdited:
@@ -186,7 +181,7 @@ def _serve_scene(
         return edited.model_copy(update={"notes": notes(request)})
 
     show(now)
-    bus.serve(keys.scene_edit, SceneEdit, edit, workers=1)
+    bus.serve(keys.scene_edit, edit, workers=1)
 
 
 def main() -> int:

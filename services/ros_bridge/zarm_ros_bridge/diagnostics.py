@@ -39,7 +39,7 @@ class Diagnostics:
 
     def __enter__(self) -> Self:
         self._thread.start()
-        self._engine.bus.watch(self._engine.keys.executor_state, ExecutorState, self._hear)
+        self._engine.bus.watch(self._engine.keys.executor_state, self._hear)
         return self
 
     def __exit__(

@@ -15,7 +15,7 @@ from std_msgs.msg import Float32
 from trajectory_msgs.msg import JointTrajectory
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import DriverCommand, DriverProgress, JointState
+from zarm_contract.messages import DriverCommand
 from zarm_contract.robot import StrategyParams
 from zarm_ros_bridge.answers import shortened
 from zarm_ros_bridge.convert.driver_joints import DriverJointStates
@@ -53,8 +53,8 @@ class Drivers:
         self._standing = Standing(engine.robot.descriptor.execution.joint_state_timeout)
         self._hurry = ros.hurry
         self._turn = threading.Lock()  # commands come in a thread of the bus, progress in one of ROS
-        self._states = engine.bus.publisher(keys.driver_joint_states, JointState, realtime=True)
-        self._played = engine.bus.publisher(keys.driver_progress, DriverProgress, realtime=True, droppable=False)
+        self._states = engine.bus.publisher(keys.driver_joint_states)
+        self._played = engine.bus.publisher(keys.driver_progress)
         self._commands = ros.node.create_publisher(
             JointTrajectory,
             params.command_topic,
@@ -64,7 +64,7 @@ class Drivers:
         ros.listen(RosJointState, params.joint_states_topic, self._joint_states, qos_profile_sensor_data, raw=True)
         if params.state_topic is not None:
             ros.listen(Float32, params.state_topic, self._state, COMMAND_DEPTH)
-        engine.bus.subscribe_timed(keys.driver_command, DriverCommand, self._command)
+        engine.bus.subscribe_timed(keys.driver_command, self._command)
 
     def _command(self, command: DriverCommand, arrived: float) -> None:
         if not self._expiry.in_time(command, arrived):

@@ -78,7 +78,7 @@ class ExecutionActions:
         """From now on continue the goals of a bridge that was killed: their clients hear of them again, and can cancel
         them.
         """
-        self._engine.bus.watch(self._engine.keys.executor_state, ExecutorState, self._take_up)
+        self._engine.bus.watch(self._engine.keys.executor_state, self._take_up)
 
     def _take_up(self, _: str, state: ExecutorState) -> None:
         found = GOAL.fullmatch(state.goal_id or "")

@@ -16,7 +16,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
 from zarm_contract.errors import ZarmError
-from zarm_contract.messages import GoalTrajectory, Pose
+from zarm_contract.messages import Pose
 from zarm_ros_bridge.convert.poses import ros_pose
 from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.engine import Engine
@@ -71,9 +71,7 @@ class PredictedPath:
     def _predicted(self, times: np.ndarray) -> Path:
         """The tip along what the executor follows: the next steps, and the braking after them."""
         engine = self._engine
-        followed = engine.client.connection.read(
-            engine.keys.goal_trajectory, GoalTrajectory, timeout=_ANSWER_SECONDS
-        ).trajectory
+        followed = engine.client.connection.read(engine.keys.goal_trajectory, timeout=_ANSWER_SECONDS).trajectory
         trajectory = TimedTrajectory.of(followed, engine.joints)
         ahead = trajectory.time[0] + times
         positions, _, _ = trajectory.sample(ahead[ahead <= trajectory.time[-1]])

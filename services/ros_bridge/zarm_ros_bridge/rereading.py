@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from zarm_contract.errors import Unavailable
-from zarm_contract.messages import Health
+from zarm_contract.messages import Nothing
 from zarm_contract.robot import load_robot
 from zarm_ros_bridge.engine import Engine
 
@@ -35,7 +35,7 @@ def reread_robot(engine: Engine) -> str:
     renewed = []
     there = [service for service in _WHERE_THERE if engine.bus.alive(engine.keys.alive(service, "*"))]
     for service in (*_SERVICES, *there):
-        if engine.client.connection.ask(engine.keys.reread(service), Health).robot_hash != robot.hash:
+        if engine.client.connection.ask(engine.keys.reread(service), Nothing()).robot_hash != robot.hash:
             renewed.append(service)
             _wait_for(engine, service, robot.hash)
     if engine.client.strategy().active != strategy:

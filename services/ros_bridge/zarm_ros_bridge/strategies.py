@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from std_srvs.srv import Trigger
 
 from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
-from zarm_contract.messages import Strategies, StrategyRequest
+from zarm_contract.messages import StrategyRequest
 from zarm_ros_bridge.answers import with_message
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.generations.generation import Generation
@@ -51,7 +51,7 @@ class StrategyServices:
     def __enter__(self) -> Self:
         self._changed.set()
         self._follower.start()
-        self._engine.bus.watch(self._engine.keys.strategy, Strategies, lambda _key, _strategies: self._changed.set())
+        self._engine.bus.watch(self._engine.keys.strategy, lambda _key, _strategies: self._changed.set())
         return self
 
     def __exit__(

@@ -26,7 +26,7 @@ class Terms:
     def __init__(self, node: str, keys: Keys, params: StrategyParams | None) -> None:
         self._keys = keys
         own = f"{node}/"
-        names = {
+        names: dict[str, str] = {
             keys.plan: f"{own}generate_trajectory",
             keys.ik: f"{own}ik",
             keys.fk: f"{own}fk",

@@ -53,8 +53,8 @@ class Topics:
         ]
         for publisher in self._descriptions:
             publisher.publish(description)
-        bus.watch(keys.executor_state, ExecutorState, self._state)
-        bus.watch(keys.scene, Scene, self._scene)
+        bus.watch(keys.executor_state, self._state)
+        bus.watch(keys.scene, self._scene)
         # Plans are rare, and one published before its bus subscriber is known would not be sent again.
         bus.listen(keys.plans, self._plan)
         robot = {"emulator/joint_states": lambda: self._emulated} | ({} if told else {own: lambda: True})

@@ -20,7 +20,7 @@ from zarm_contract.messages import (
 )
 from zarm_contract.robot import RobotDescriptor
 from zarm_geometry.meshes import Meshes
-from zarm_runtime.bus import Latched, Latest, Publisher
+from zarm_runtime.bus import LatchedPublisher, Latest, Publisher
 from zarm_runtime.metrics import Metrics
 from zarm_servo.check import Checker, PathValidity
 from zarm_servo.goal_monitor import FollowedGoal, GoalMonitor
@@ -56,7 +56,7 @@ class Guard:
         meshes: Meshes,
         measured: Latest[JointState],
         authorities: Publisher[Authority],
-        states: Latched[ServoState],
+        states: LatchedPublisher[ServoState],
         instance: str,
         metrics: Metrics,
     ) -> None:

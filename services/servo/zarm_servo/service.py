@@ -14,21 +14,10 @@ from pydantic import TypeAdapter, ValidationError
 
 from zarm_contract.errors import Busy
 from zarm_contract.messages import (
-    Accepted,
-    Authority,
-    ExecutorState,
-    GoalState,
-    GoalTrajectory,
-    JointState,
     Message,
     Plan,
     PlanRequest,
-    Scene,
     SceneObject,
-    ServoEnd,
-    ServoStart,
-    ServoState,
-    StreamChunk,
 )
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
@@ -68,14 +57,14 @@ def start(service: Service) -> Iterator[None]:
     checker, check = Checker(model, meshes), SceneCheck(model, meshes)
     warm_up(checker, check, service.starting)
     with service.open_bus() as command_bus:
-        measured = bus.latest(keys.joint_states, JointState)
+        measured = bus.latest(keys.joint_states)
         guard = Guard(
             service.robot.descriptor,
             checker,
             meshes,
             measured,
-            command_bus.publisher(keys.authority, Authority, realtime=True),
-            bus.latched(keys.servo_state, ServoState),
+            command_bus.publisher(keys.authority),
+            bus.latched(keys.servo_state),
             service.instance,
             service.metrics,
         )
@@ -85,14 +74,14 @@ def start(service: Service) -> Iterator[None]:
             guard.monitor,
             guard.moving,
             measured,
-            lambda request, deadline: bus.call(keys.plan, request, Plan, timeout=deadline + ANSWER),
-            lambda request: command_bus.call(keys.replace, request, Accepted, timeout=ANSWER),
+            lambda request, deadline: bus.call(keys.plan, request, timeout=deadline + ANSWER),
+            lambda request: command_bus.call(keys.replace, request, timeout=ANSWER),
             service.metrics,
         )
-        chunks = command_bus.publisher(keys.stream, StreamChunk, realtime=True)
+        chunks = command_bus.publisher(keys.stream)
 
         def plan(request: PlanRequest, deadline: float) -> Plan:
-            return bus.call(keys.plan, request, Plan, timeout=deadline + GONE)
+            return bus.call(keys.plan, request, timeout=deadline + GONE)
 
         sessions = Sessions(service.robot, check, guard, measured, chunks, plan, service.metrics)
 
@@ -102,13 +91,13 @@ def start(service: Service) -> Iterator[None]:
             except ValidationError as error:
                 log.warning("dropped a message key=%s reason=%s", key, error.errors()[0]["msg"])
 
-        bus.watch(keys.scene, Scene, guard.monitor.hear_scene)
+        bus.watch(keys.scene, guard.monitor.hear_scene)
         bus.listen(keys.scene_object("*"), receive)
         for hear_state in (guard.hear_state, sessions.hear_state, replanner.hear_state):
-            bus.watch(keys.executor_state, ExecutorState, hear_state)
+            bus.watch(keys.executor_state, hear_state)
         for hear_goal in (guard.hear_goal, sessions.hear_goal, replanner.hear_goal):
-            bus.watch(keys.goal("*"), GoalState, hear_goal)
-        bus.watch(keys.goal_trajectory, GoalTrajectory, guard.hear_trajectory)
+            bus.watch(keys.goal("*"), hear_goal)
+        bus.watch(keys.goal_trajectory, guard.hear_trajectory)
         ended = threading.Event()
 
         def look_for_planner() -> None:
@@ -123,8 +112,8 @@ def start(service: Service) -> Iterator[None]:
         gc.collect()
         gc.freeze()  # collecting long-lived objects again and again would delay a check
         with guard, replanner:
-            bus.serve(keys.servo_start, ServoStart, sessions.start)
-            bus.serve(keys.servo_end, ServoEnd, sessions.end)
+            bus.serve(keys.servo_start, sessions.start)
+            bus.serve(keys.servo_end, sessions.end)
             bus.listen(keys.object_pose("*"), guard.moving.hear)
             command_bus.listen(keys.servo_target, sessions.hear_target)
             service.ready()

@@ -13,9 +13,9 @@ import viser
 from viser import GuiButtonHandle, GuiEvent, GuiTabGroupHandle, Icon
 
 from zarm.robot import Robot
-from zarm_contract.access import Role
 from zarm_contract.errors import ZarmError
 from zarm_contract.robot import RobotDescription
+from zarm_contract.roles import Role
 from zarm_viewer.aim import Goal
 from zarm_viewer.desk import Desk
 from zarm_viewer.gate import Gate

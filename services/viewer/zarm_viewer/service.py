@@ -13,9 +13,9 @@ from pathlib import Path
 
 from zarm.connection import Connection, keys_of, opened, robots
 from zarm.robot import Robot
-from zarm_contract.access import Role
 from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
 from zarm_contract.robot import ROBOTS, RobotDescription, load_robot
+from zarm_contract.roles import Role
 from zarm_runtime import signals
 from zarm_runtime.logs import setup_logging
 from zarm_runtime.mesh_folders import add_meshes

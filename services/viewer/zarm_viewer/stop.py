@@ -8,8 +8,8 @@ from collections.abc import Callable
 
 from zarm.connection import Connection, keys_of
 from zarm.robot import Robot
-from zarm_contract.access import Role
 from zarm_contract.errors import ZarmError
+from zarm_contract.roles import Role
 from zarm_runtime.bus import Bus
 
 log = logging.getLogger(__name__)

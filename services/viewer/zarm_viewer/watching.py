@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from zarm.robot import Robot
+from zarm_contract.key import Latched
 from zarm_contract.messages import (
     ExecutorState,
     GoalState,
@@ -61,21 +62,21 @@ class Watching:
 
     def __post_init__(self) -> None:
         bus, keys = self.robot.connection.bus, self.robot.connection.keys
-        self._joints = bus.latest(keys.joint_states, JointState)
-        self._preview = bus.latest(keys.preview_joint_states, JointState)
+        self._joints = bus.latest(keys.joint_states)
+        self._preview = bus.latest(keys.preview_joint_states)
         self._taken: dict[str, float] = {}
-        watched: tuple[tuple[str, str, type[Message]], ...] = (
-            ("state", keys.executor_state, ExecutorState),
-            ("servo", keys.servo_state, ServoState),
-            ("scene", keys.scene, Scene),
-            ("plan", keys.plans, Plan),
-            ("planners", keys.planners, Planners),
-            ("trajectory", keys.goal_trajectory, GoalTrajectory),
-            ("strategies", keys.strategy, Strategies),
-        )
-        for name, key, model in watched:
-            bus.watch(key, model, self._put(name))
-        bus.watch(keys.goal("*"), GoalState, self._put_goal)
+        watched: dict[str, Latched[Any]] = {
+            "state": keys.executor_state,
+            "servo": keys.servo_state,
+            "scene": keys.scene,
+            "plan": keys.plans,
+            "planners": keys.planners,
+            "trajectory": keys.goal_trajectory,
+            "strategies": keys.strategy,
+        }
+        for name, key in watched.items():
+            bus.watch(key, self._put(name))
+        bus.watch(keys.goal("*"), self._put_goal)
 
     def take(self, joint_names: tuple[str, ...]) -> News:
         """Changes since the last call, with joints in this order."""

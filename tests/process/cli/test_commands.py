@@ -31,7 +31,7 @@ from support.command_line import (
     zarm,
 )
 from support.harness import PATIENCE, eventually
-from zarm_contract.messages import ExecutorState, GoalState, JointState, Nothing
+from zarm_contract.messages import GoalState, JointState
 from zarm_runtime.bus import Bus
 
 DOWN = "0,1,0,0"
@@ -151,7 +151,7 @@ def test_ctrl_c_during_execute_cancels_and_waits_until_the_robot_stands(
 ) -> None:
     done(up, "execute", "--joints", near_home(0.0))
     goals: list[GoalState] = []
-    observer.subscribe(KEYS.goal("*"), GoalState, lambda _, goal: goals.append(goal))
+    observer.subscribe(KEYS.goal("*"), lambda _, goal: goals.append(goal))
     arguments = ("execute", "--joints", near_home(1.2), *SLOWLY, "--connect", up.endpoint)
     with Command(*arguments, folder=tmp_path) as execute:
         eventually(lambda: goals and goals[-1].progress > 0.1, "the robot is on its way")
@@ -167,7 +167,7 @@ def test_ctrl_c_during_execute_cancels_and_waits_until_the_robot_stands(
 def measured(bus: Bus) -> tuple[float, ...]:
     """The next measured joints (rad)."""
     states: SimpleQueue[JointState] = SimpleQueue()
-    end = bus.subscribe(KEYS.joint_states, JointState, lambda _, state: states.put(state))
+    end = bus.subscribe(KEYS.joint_states, lambda _, state: states.put(state))
     try:
         return states.get(timeout=5).position
     finally:
@@ -176,7 +176,7 @@ def measured(bus: Bus) -> tuple[float, ...]:
 
 def mode(bus: Bus) -> str:
     """What the executor does now."""
-    return bus.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=5).mode
+    return bus.read(KEYS.executor_state, timeout=5).mode
 
 
 # -- the executor --

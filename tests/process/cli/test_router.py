@@ -24,8 +24,8 @@ def reaches(one: str, other: str) -> bool:
     """Whether a message sent at one router arrives at the other within a short while."""
     arrived: Queue[str] = Queue()
     with Bus(one) as sender, Bus(other) as receiver:
-        receiver.subscribe(KEYS.stop, Nothing, lambda key, _: arrived.put(key))
-        publisher = sender.publisher(KEYS.stop, Nothing)
+        receiver.subscribe(KEYS.stop, lambda key, _: arrived.put(key))
+        publisher = sender.publisher(KEYS.stop)
         return bool(eventually(lambda: publisher.put(Nothing()) or not arrived.empty(), "the message arrives"))
 
 

@@ -43,8 +43,8 @@ def test_ctrl_c_meanwhile_does_not_keep_the_goal_from_being_withdrawn_by_its_nam
         withdrawn.append(request)
         return IDLE
 
-    bus.serve(KEYS.execute, ExecuteRequest, execute)
-    bus.serve(KEYS.cancel, CancelRequest, cancel)
+    bus.serve(KEYS.execute, execute)
+    bus.serve(KEYS.cancel, cancel)
     bus.declare_alive(KEYS.alive("executor", "1"))
     arguments = ("execute", "--plan-id", "p-1", "--connect", endpoint, "--name", ROBOT)
     with Command(*arguments, folder=tmp_path) as command:
@@ -71,7 +71,7 @@ def test_whoever_is_tired_of_an_executor_that_hangs_hears_what_is_waited_for_the
 ) -> None:
     file = tmp_path / "plan.json"
     file.write_bytes(encode(plan("p-1", rest_to_rest(moved(1.0), slower=10.0))))
-    scene = client.bus.latched(KEYS.scene_revision, SceneEdited)
+    scene = client.bus.latched(KEYS.scene_revision)
     scene.set(SceneEdited(revision=SCENE, count=0))
     arguments = ("execute", "--plan", str(file), "--connect", endpoint, "--name", ROBOT)
     with Command(*arguments, folder=tmp_path) as command:
@@ -107,8 +107,8 @@ def test_whoever_leaves_before_the_goal_is_taken_has_withdrawn_it(bus: Bus, endp
         may_answer.wait(PATIENCE)
         return IDLE
 
-    bus.serve(KEYS.execute, ExecuteRequest, execute)
-    bus.serve(KEYS.cancel, CancelRequest, cancel)
+    bus.serve(KEYS.execute, execute)
+    bus.serve(KEYS.cancel, cancel)
     arguments = ("execute", "--plan-id", "p-1", "--connect", endpoint, "--name", ROBOT)
     with Command(*arguments, folder=tmp_path) as command:
         goal_id = asked.get(timeout=PATIENCE)

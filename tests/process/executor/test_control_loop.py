@@ -14,7 +14,7 @@ from support.harness import PATIENCE, ServiceProcess, eventually
 from support.paths import PROGRAMS
 from support.trajectories import KEYS
 from zarm_contract.errors import Unavailable
-from zarm_contract.messages import Health, Nothing
+from zarm_contract.messages import Nothing
 from zarm_runtime.bus import Bus
 
 HANGING = str(PROGRAMS / "hanging_executor.py")
@@ -44,7 +44,7 @@ def test_a_control_loop_that_hangs_shows_in_health_ends_the_process_and_the_driv
             def ended() -> bool:
                 if executor.process.poll() is None:
                     try:
-                        said.append(bus.call(KEYS.health("executor"), Nothing(), Health, timeout=1))
+                        said.append(bus.call(KEYS.health("executor"), Nothing(), timeout=1))
                     except Unavailable:
                         return False
                 return executor.process.poll() is not None

@@ -241,7 +241,7 @@ def test_noise_on_the_keys_of_the_driver_does_no_harm(bus: Bus, endpoint: str, t
 def example(bus: Bus, endpoint: str) -> Iterator[list[JointState]]:
     """The example of a driver, telling its joints."""
     told: list[JointState] = []
-    bus.subscribe(KEYS.driver_joint_states, JointState, lambda _, state: told.append(state))
+    bus.subscribe(KEYS.driver_joint_states, lambda _, state: told.append(state))
     joints, at = reversed(ROBOT.descriptor.joints), [str(value) for value in reversed(HOME.tolist())]
     command = [sys.executable, str(EXAMPLE), "--connect", endpoint, "--joints", *joints, "--at", *at]
     with ahead_of_others():

@@ -18,8 +18,6 @@ from zarm_contract.errors import (
 )
 from zarm_contract.messages import (
     JointState,
-    Nothing,
-    Plan,
     SceneEdited,
     Trajectory,
 )
@@ -30,7 +28,7 @@ SHORT = rest_to_rest(moved(0.01))
 
 def tell_scene(bus: Bus, revision: str = SCENE) -> Latched[SceneEdited]:
     """What the planner says of its scene; keep it."""
-    scene = bus.latched(KEYS.scene_revision, SceneEdited)
+    scene = bus.latched(KEYS.scene_revision)
     scene.set(SceneEdited(revision=revision, count=0))
     return scene
 
@@ -42,7 +40,7 @@ def test_plans_are_executed_by_id_or_as_the_last_one(client: Client) -> None:
     with pytest.raises(InvalidRequest, match="no plan"):
         client.execute()
     tell_scene(client.bus)
-    plans = client.bus.latched(KEYS.plans, Plan)
+    plans = client.bus.latched(KEYS.plans)
     plans.set(plan("first", rest_to_rest(moved(0.02))))
     plans.set(plan("second", SHORT))
     assert client.ended(client.execute(plan_id="second")).plan_id == "second"
@@ -69,7 +67,7 @@ def test_the_plan_that_the_planner_holds_runs_before_its_publication_arrives(
 ) -> None:
     tell_scene(bus)
     held = [plan("first", rest_to_rest(moved(0.02)))]
-    bus.serve(KEYS.plans, Nothing, lambda _: held[-1], readable=True)  # nothing is ever published
+    bus.serve(KEYS.plans, lambda _: held[-1])  # nothing is ever published
     with ServiceProcess("executor", endpoint, tmp_path) as process:
         process.wait_ready(bus, KEYS)
         client = Client(bus)
@@ -81,8 +79,8 @@ def test_the_plan_that_the_planner_holds_runs_before_its_publication_arrives(
 
 
 def test_where_no_planner_answers_the_plan_published_last_runs(client: Client) -> None:
-    scene = client.bus.publisher(KEYS.scene_revision, SceneEdited)
-    plans = client.bus.publisher(KEYS.plans, Plan)
+    scene = client.bus.publisher(KEYS.scene_revision)
+    plans = client.bus.publisher(KEYS.plans)
     scene.put(SceneEdited(revision=SCENE, count=0))
     plans.put(plan("first", rest_to_rest(moved(0.02))))
     plans.put(plan("second", SHORT))
@@ -94,7 +92,7 @@ def test_where_no_planner_answers_the_plan_published_last_runs(client: Client) -
 
 def test_a_plan_made_before_the_executor_started_can_be_executed(endpoint: str, bus: Bus, tmp_path: Path) -> None:
     tell_scene(bus)
-    bus.latched(KEYS.plans, Plan).set(plan("early", SHORT))
+    bus.latched(KEYS.plans).set(plan("early", SHORT))
     with ServiceProcess("executor", endpoint, tmp_path) as process:
         process.wait_ready(bus, KEYS)
         client = Client(bus)
@@ -113,7 +111,7 @@ def test_a_plan_of_any_other_scene_than_the_present_one_is_stale(
 ) -> None:
     present = "3-5be0c1d2f3a4"
     scene = tell_scene(bus, present)
-    bus.latched(KEYS.plans, Plan).set(plan("made-in-3", SHORT, revision=present))
+    bus.latched(KEYS.plans).set(plan("made-in-3", SHORT, revision=present))
     with ServiceProcess("executor", endpoint, tmp_path) as process:
         process.wait_ready(bus, KEYS)
         client = Client(bus)
@@ -147,9 +145,9 @@ def test_every_plan_is_previewed_whatever_the_strategy_and_the_robot_stays(
         client = Client(bus)
         shown: list[Trajectory] = []
         previews: list[JointState] = []
-        bus.subscribe(KEYS.preview_trajectory, Trajectory, lambda _, trajectory: shown.append(trajectory))
-        bus.subscribe(KEYS.preview_joint_states, JointState, lambda _, joints: previews.append(joints))
-        plans = bus.publisher(KEYS.plans, Plan)
+        bus.subscribe(KEYS.preview_trajectory, lambda _, trajectory: shown.append(trajectory))
+        bus.subscribe(KEYS.preview_joint_states, lambda _, joints: previews.append(joints))
+        plans = bus.publisher(KEYS.plans)
         slow = rest_to_rest(moved(1.5), slower=10)
 
         def previewed() -> bool:

@@ -12,7 +12,7 @@ from support.arrivals import arrival
 from support.executor.bench import EXECUTION, Bench
 from support.trajectories import KEYS, ROBOT, SCENE, moved, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, Unavailable
-from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Speed, Strategies
+from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Speed
 from zarm_executor.admission import Admission
 from zarm_executor.executor import Executor
 from zarm_executor.plans import Plans
@@ -46,8 +46,8 @@ def executor_of(bench: Bench, bus: Bus, folder: Path, scene: Callable[[], SceneE
         Plans(ROBOT.hash, unanswered),
         PresentScene(bench.machine, scene),
         {},
-        bus.publisher(KEYS.strategy, Strategies),
-        bus.publisher(KEYS.speed, Speed),
+        bus.publisher(KEYS.strategy),
+        bus.publisher(KEYS.speed),
         StateFile(folder / "speed.json", Speed),
     )
 

@@ -13,7 +13,7 @@ from support.executor.bench import EXECUTION, Bench
 from support.harness import PATIENCE
 from support.trajectories import KEYS, ROBOT, SCENE, moved, plan, rest_to_rest
 from zarm_contract.errors import Busy, Cancelled, Unavailable
-from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Speed, Strategies
+from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Speed
 from zarm_executor.admission import Admission
 from zarm_executor.executor import Executor
 from zarm_executor.plans import Plans
@@ -56,8 +56,8 @@ def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus:
         plans,
         PresentScene(bench.machine, unanswered),
         {},
-        bus.publisher(KEYS.strategy, Strategies),
-        bus.publisher(KEYS.speed, Speed),
+        bus.publisher(KEYS.strategy),
+        bus.publisher(KEYS.speed),
         StateFile(tmp_path / "speed.json", Speed),
     )
     with ThreadPoolExecutor(1) as pool:

@@ -37,7 +37,7 @@ def run_example(endpoint: str, seconds: float) -> subprocess.Popen[bytes]:
 
 def sender(client: Client) -> Callable[..., None]:
     """Sends one chunk; the publisher is known to the executor."""
-    publisher = client.bus.publisher(KEYS.stream, StreamChunk)
+    publisher = client.bus.publisher(KEYS.stream)
 
     def put(
         goal_id: str, sequence: int, start: float = 0.0, path: TimedTrajectory | None = None, **others: object
@@ -80,7 +80,7 @@ def test_the_example_of_a_client_is_followed_to_its_end(client: Client, endpoint
 def test_a_held_stream_goes_on_only_when_a_chunk_has_come_since_the_scene_was_edited(
     client: Client, endpoint: str
 ) -> None:
-    scene, edits = client.bus.latched(KEYS.scene_revision, SceneEdited), itertools.count(2)
+    scene, edits = client.bus.latched(KEYS.scene_revision), itertools.count(2)
     scene.set(SceneEdited(revision=SCENE, count=0))
     process = run_example(endpoint, 60.0)
 

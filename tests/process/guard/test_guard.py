@@ -15,7 +15,7 @@ from support.planner.client import BEHIND_POST, POST, load
 from support.planner.second_opinion import link_pose
 from support.trajectories import KEYS, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import Unavailable
-from zarm_contract.messages import ObjectPose, ServoState, Sphere
+from zarm_contract.messages import ObjectPose, Sphere
 
 
 def test_a_robot_rests_before_what_is_put_in_its_way_says_what_it_is_and_goes_on_when_it_is_taken_away(
@@ -84,7 +84,7 @@ def test_a_goal_that_is_resumed_under_a_blocked_way_waits_until_it_is_free(cell:
 def test_a_robot_rests_before_what_moves_into_its_way_and_goes_on_when_that_has_moved_on(cell: Cell) -> None:
     away = POST.model_copy(update={"position": (-1.5, 0.0, 0.4)})
     goal = cell.way(away)
-    poses = cell.bus.publisher(KEYS.object_pose("post"), ObjectPose)
+    poses = cell.bus.publisher(KEYS.object_pose("post"))
 
     def tell(position: tuple[float, float, float]) -> bool:
         poses.put(ObjectPose(stamp=time.time(), position=position, speed=0.1))
@@ -97,7 +97,7 @@ def test_a_robot_rests_before_what_moves_into_its_way_and_goes_on_when_that_has_
     assert hold.obstruction.object == "post"
     cell.rests()
     cell.assert_free_of(POST)
-    servo = cell.bus.latest(KEYS.servo_state, ServoState)
+    servo = cell.bus.latest(KEYS.servo_state)
 
     def lost() -> bool:
         state = servo.get()
@@ -107,9 +107,7 @@ def test_a_robot_rests_before_what_moves_into_its_way_and_goes_on_when_that_has_
     assert cell.client.goal(goal).hold is not None
     eventually(lambda: tell(away.position) and cell.client.goal(goal).done, "the goal has ended")
     assert cell.client.goal(goal).status == "succeeded"
-    cell.bus.publisher(KEYS.object_pose("chair"), ObjectPose).put(
-        ObjectPose(stamp=time.time(), position=POST.position, speed=0.1)
-    )
+    cell.bus.publisher(KEYS.object_pose("chair")).put(ObjectPose(stamp=time.time(), position=POST.position, speed=0.1))
 
     def refused() -> bool:
         state = servo.get()

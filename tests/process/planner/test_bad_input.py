@@ -15,14 +15,11 @@ from support.planner.client import HOME, KEYS
 from zarm_contract.errors import Busy, Problem
 from zarm_contract.messages import (
     MAX_OBJECTS,
-    Health,
     JointGoal,
     LoadScene,
     Nothing,
-    Plan,
     PlanRequest,
     SceneEdit,
-    SceneEdited,
     Sphere,
 )
 from zarm_runtime.bus import Bus
@@ -34,12 +31,10 @@ TO_HOME = {"kind": "joints", "position": HOME}
 @pytest.fixture(autouse=True)
 def still_plans(planner: Bus) -> Iterator[None]:
     """After whatever a test has sent: the planner is well, and a request in order is answered with a plan."""
-    planner.call(
-        KEYS.scene_edit, SceneEdit(edit=LoadScene(op="load", objects=(ball("known"),))), SceneEdited, timeout=PATIENCE
-    )
+    planner.call(KEYS.scene_edit, SceneEdit(edit=LoadScene(op="load", objects=(ball("known"),))), timeout=PATIENCE)
     yield
-    assert planner.call(KEYS.health("planner"), Nothing(), Health, timeout=PATIENCE).ready
-    answer = planner.call(KEYS.plan, GOOD, Plan, timeout=PATIENCE)
+    assert planner.call(KEYS.health("planner"), Nothing(), timeout=PATIENCE).ready
+    answer = planner.call(KEYS.plan, GOOD, timeout=PATIENCE)
     assert answer.trajectory.position[-1] == pytest.approx((0.5, *HOME[1:]), abs=1e-6)
 
 
@@ -108,9 +103,9 @@ def test_a_scene_of_ten_thousand_objects_is_planned_in_and_one_more_is_refused(
 ) -> None:
     x = np.linspace(3.0, 900.0, MAX_OBJECTS - 1).tolist()
     many = LoadScene(op="load", objects=(ball("known"), *(ball(f"b{i}", x[i]) for i in range(MAX_OBJECTS - 1))))
-    edited = planner.call(KEYS.scene_edit, SceneEdit(edit=many), SceneEdited, timeout=PATIENCE)
+    edited = planner.call(KEYS.scene_edit, SceneEdit(edit=many), timeout=PATIENCE)
     assert edited.count == MAX_OBJECTS
-    assert planner.call(KEYS.plan, GOOD, Plan, timeout=PATIENCE).scene_revision == edited.revision
+    assert planner.call(KEYS.plan, GOOD, timeout=PATIENCE).scene_revision == edited.revision
     fault = problem(foreign, KEYS.scene_edit, json.dumps(added()).encode())
     assert (fault.code, fault.field) == ("invalid_request", "edit.objects")
     assert str(MAX_OBJECTS) in fault.message
@@ -120,9 +115,7 @@ def test_a_scene_of_ten_thousand_objects_is_planned_in_and_one_more_is_refused(
 def test_two_hundred_simultaneous_requests_are_all_answered(planner: Bus) -> None:
     def ask(seed: int) -> str:
         try:
-            return type(
-                planner.call(KEYS.plan, GOOD.model_copy(update={"seed": seed}), Plan, timeout=PATIENCE)
-            ).__name__
+            return type(planner.call(KEYS.plan, GOOD.model_copy(update={"seed": seed}), timeout=PATIENCE)).__name__
         except Busy:
             return "busy"
 

@@ -39,18 +39,18 @@ def test_torch_is_loaded_by_the_first_request_for_it_and_answers_as_the_kernels_
     joints = tuple(map(tuple, rng.uniform(-3.0, 3.0, (20, 6)).tolist()))
 
     def fk(device: str) -> FkPoses:
-        return bus.call(KEYS.fk, FkRequest(joints=joints, device=device), FkPoses, timeout=60)
+        return bus.call(KEYS.fk, FkRequest(joints=joints, device=device), timeout=60)
 
     def ik(poses: FkPoses, device: str) -> IkSolutions:
         request = IkRequest(poses=poses.poses, near=ROBOT.descriptor.home, collision_free=False, device=device)
-        return bus.call(KEYS.ik, request, IkSolutions, timeout=60)
+        return bus.call(KEYS.ik, request, timeout=60)
 
     poses = fk("auto")
     assert all(len(rows) == 1 for rows in ik(poses, "auto").solutions)
     assert all(len(rows) == 1 for rows in ik(poses, "kernels").solutions)
     assert "libtorch" not in libraries(planner)
     with pytest.raises(InvalidRequest) as raised:
-        bus.call(KEYS.fk, FkRequest(joints=((0.0,) * 5,), device="cpu"), FkPoses, timeout=60)
+        bus.call(KEYS.fk, FkRequest(joints=((0.0,) * 5,), device="cpu"), timeout=60)
     assert raised.value.problem.field == "joints.0"
     assert "libtorch" not in libraries(planner)
 
@@ -59,7 +59,7 @@ def test_torch_is_loaded_by_the_first_request_for_it_and_answers_as_the_kernels_
         np.testing.assert_allclose(one.orientation, other.orientation, atol=1e-6)
     assert "libtorch" in libraries(planner)
     solutions = tuple(rows[0] for rows in ik(poses, "cpu").solutions)
-    there = bus.call(KEYS.fk, FkRequest(joints=solutions), FkPoses, timeout=60)
+    there = bus.call(KEYS.fk, FkRequest(joints=solutions), timeout=60)
     for one, other in zip(poses.poses, there.poses, strict=True):
         np.testing.assert_allclose(one.position, other.position, atol=1e-6)
         np.testing.assert_allclose(one.orientation, other.orientation, atol=1e-6)

@@ -25,7 +25,6 @@ from support.planner.second_opinion import Collisions, link_pose, tip_error
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, PlanningFailed
 from zarm_contract.messages import (
     CheckRequest,
-    CheckResults,
     Cuboid,
     JointState,
     Plan,
@@ -94,7 +93,7 @@ def test_a_robot_close_to_a_surface_can_leave_it(planner: Bus) -> None:
     """The spheres that the search works with stand out of the links; what touches nothing exactly must not be stuck."""
     low = (0.0, 0.5, 1.8, 0.0, 0.8, 0.0)
     load(planner)
-    free = planner.call(KEYS.check, CheckRequest(joints=(low,)), CheckResults, timeout=PATIENCE).results[0]
+    free = planner.call(KEYS.check, CheckRequest(joints=(low,)), timeout=PATIENCE).results[0]
     assert not free.in_collision
     flange = link_pose(ROBOT, "link_6", low)[:3, 3]
 
@@ -115,7 +114,7 @@ def test_the_measured_state_is_the_start_unless_the_request_has_one(planner: Bus
     with pytest.raises(ExecutionRefused) as caught:
         plan(planner, PlanRequest(goal=to_joints(*HOME)))
     assert caught.value.code == "no_joint_state"
-    states = planner.publisher(KEYS.joint_states, JointState)
+    states = planner.publisher(KEYS.joint_states)
     order = (0, 1, 3, 4, 2, 5)  # as the driver on ROS Humble does
     names = tuple(ROBOT.descriptor.joints[i] for i in order)
     measured = (0.1, 0.2, 1.3, 0.4, 1.5, 0.6)
@@ -136,7 +135,7 @@ def test_the_measured_state_is_the_start_unless_the_request_has_one(planner: Bus
 
 def test_measured_states_that_lack_a_joint_are_no_start(planner: Bus) -> None:
     load(planner)
-    states = planner.publisher(KEYS.joint_states, JointState)
+    states = planner.publisher(KEYS.joint_states)
     state = JointState(stamp=0.0, joint_names=("joint_1",), position=(0.0,), velocity=(0.0,))
 
     def refusal() -> str | None:

@@ -28,11 +28,8 @@ from support.planner.second_opinion import Collisions, link_pose, tip_error
 from zarm_contract.errors import Problem
 from zarm_contract.messages import (
     CheckRequest,
-    CheckResults,
-    FkPoses,
     FkRequest,
     IkRequest,
-    IkSolutions,
     PlannerSettings,
     PlanRequest,
     Pose,
@@ -140,10 +137,10 @@ def test_noise_is_an_invalid_request_on_every_key(planner: Bus, foreign: zenoh.S
 
 def test_inverse_kinematics_bring_the_tip_where_it_was_asked_to_be(planner: Bus) -> None:
     load(planner)
-    poses = planner.call(KEYS.fk, FkRequest(joints=(HOME, BEHIND_POST)), FkPoses, timeout=PATIENCE).poses
+    poses = planner.call(KEYS.fk, FkRequest(joints=(HOME, BEHIND_POST)), timeout=PATIENCE).poses
     for q, pose in zip((HOME, BEHIND_POST), poses, strict=True):
         assert tip_error(ROBOT, q, pose.position, pose.orientation) == pytest.approx((0.0, 0.0), abs=1e-6)
-    answer = planner.call(KEYS.ik, IkRequest(poses=poses, near=HOME, max_solutions=8), IkSolutions, timeout=PATIENCE)
+    answer = planner.call(KEYS.ik, IkRequest(poses=poses, near=HOME, max_solutions=8), timeout=PATIENCE)
     for pose, solutions in zip(poses, answer.solutions, strict=True):
         assert len(solutions) == 8
         for q in solutions:
@@ -157,17 +154,17 @@ def test_inverse_kinematics_avoid_the_scene_unless_told_not_to(planner: Bus) -> 
     inside = Pose(position=POST.position, orientation=(1.0, 0.0, 0.0, 0.0))
     outside = Pose(position=(0.4, -0.4, 0.4), orientation=(1.0, 0.0, 0.0, 0.0))
     request = IkRequest(poses=(inside, outside))
-    solutions = planner.call(KEYS.ik, request, IkSolutions, timeout=PATIENCE).solutions
+    solutions = planner.call(KEYS.ik, request, timeout=PATIENCE).solutions
     assert [len(found) for found in solutions] == [0, 1]
     anyway = request.model_copy(update={"collision_free": False})
-    assert [len(found) for found in planner.call(KEYS.ik, anyway, IkSolutions, timeout=PATIENCE).solutions] == [1, 1]
+    assert [len(found) for found in planner.call(KEYS.ik, anyway, timeout=PATIENCE).solutions] == [1, 1]
 
 
 def test_a_check_tells_distance_pair_and_range(planner: Bus) -> None:
     load(planner, POST)
     into_post = (float(np.pi / 4), *HOME[1:])
     request = CheckRequest(joints=(HOME, into_post, (0.0, 0.0, 3.0, 0.0, 0.0, 0.0)))
-    home, post, folded = planner.call(KEYS.check, request, CheckResults, timeout=PATIENCE).results
+    home, post, folded = planner.call(KEYS.check, request, timeout=PATIENCE).results
     assert (home.in_collision, home.within_limits) == (False, True)
     assert home.clearance > 0.0
     assert (post.in_collision, post.within_limits) == (True, True)
@@ -179,16 +176,16 @@ def test_a_check_tells_distance_pair_and_range(planner: Bus) -> None:
 
 def test_settings_change_whole_or_not_at_all_and_are_published(planner: Bus, foreign: zenoh.Session) -> None:
     seen: list[PlannerSettings] = []
-    planner.watch(KEYS.settings, PlannerSettings, lambda _, message: seen.append(message))
+    planner.watch(KEYS.settings, lambda _, message: seen.append(message))
     before = eventually(lambda: seen, "the present settings are read")[0]
     fault = problem(foreign, KEYS.settings, b'{"margin": 0.01, "velocity_scale": 2.0}')
     assert (fault.code, fault.field) == ("invalid_request", "velocity_scale")
-    assert planner.call(KEYS.settings, SettingsChange(), PlannerSettings, timeout=PATIENCE) == before
-    changed = planner.call(KEYS.settings, SettingsChange(margin=0.02, timeout=9.0), PlannerSettings, timeout=PATIENCE)
+    assert planner.call(KEYS.settings, SettingsChange(), timeout=PATIENCE) == before
+    changed = planner.call(KEYS.settings, SettingsChange(margin=0.02, timeout=9.0), timeout=PATIENCE)
     assert changed == before.model_copy(update={"margin": 0.02, "timeout": 9.0})
     assert eventually(lambda: seen[1:], "the change is published") == [changed]
     back = SettingsChange(margin=before.margin, timeout=before.timeout)
-    assert planner.call(KEYS.settings, back, PlannerSettings, timeout=PATIENCE) == before
+    assert planner.call(KEYS.settings, back, timeout=PATIENCE) == before
 
 
 def test_a_margin_is_kept_on_the_way_and_a_goal_may_be_nearer(planner: Bus) -> None:
@@ -197,7 +194,7 @@ def test_a_margin_is_kept_on_the_way_and_a_goal_may_be_nearer(planner: Bus) -> N
     thick = POST.model_copy(update={"radius": POST.radius + 0.06})
     wide = near.model_copy(update={"radius": near.radius + 0.06})
     assert Collisions(ROBOT, (wide,)).at(HOME)
-    planner.call(KEYS.settings, SettingsChange(margin=0.08), PlannerSettings, timeout=PATIENCE)
+    planner.call(KEYS.settings, SettingsChange(margin=0.08), timeout=PATIENCE)
     try:
         load(planner, POST)
         around = assert_sound(plan(planner, PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST))), HOME, (thick,))
@@ -206,7 +203,7 @@ def test_a_margin_is_kept_on_the_way_and_a_goal_may_be_nearer(planner: Bus) -> N
         answer = plan(planner, PlanRequest(start=BEHIND_POST, goal=to_joints(*HOME)))
         assert np.allclose(assert_sound(answer, BEHIND_POST, (near,)), HOME, atol=1e-6)
     finally:
-        planner.call(KEYS.settings, SettingsChange(margin=0.005), PlannerSettings, timeout=PATIENCE)
+        planner.call(KEYS.settings, SettingsChange(margin=0.005), timeout=PATIENCE)
 
 
 def test_a_request_may_state_the_margin_that_it_keeps(planner: Bus) -> None:
@@ -215,4 +212,4 @@ def test_a_request_may_state_the_margin_that_it_keeps(planner: Bus) -> None:
     for margin, kept in ((0.08, (thick,)), (0.0, (POST,)), (0.08, (thick,))):
         request = PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST), margin=margin)
         assert np.allclose(assert_sound(plan(planner, request), HOME, kept), BEHIND_POST, atol=1e-6)
-    assert planner.call(KEYS.settings, SettingsChange(), PlannerSettings, timeout=PATIENCE).margin == 0.005
+    assert planner.call(KEYS.settings, SettingsChange(), timeout=PATIENCE).margin == 0.005

@@ -19,19 +19,16 @@ from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import (
     AddObjects,
     CheckRequest,
-    CheckResults,
     ClearScene,
     Cylinder,
     JointGoal,
     Mesh,
-    Nothing,
     Occupancy,
     OccupancyRequest,
     Plan,
     PlanRequest,
     PointCloud,
     RemoveObjects,
-    Scene,
     SceneEdit,
     SceneEdited,
     Sphere,
@@ -77,7 +74,7 @@ def empty(planner: Bus) -> Bus:
 
 
 def edit(bus: Bus, change: AddObjects | RemoveObjects | ClearScene) -> SceneEdited:
-    return bus.call(KEYS.scene_edit, SceneEdit(edit=change), SceneEdited, timeout=PATIENCE)
+    return bus.call(KEYS.scene_edit, SceneEdit(edit=change), timeout=PATIENCE)
 
 
 def add(bus: Bus, *items: Mesh | PointCloud | Voxels | Sphere) -> SceneEdited:
@@ -86,7 +83,7 @@ def add(bus: Bus, *items: Mesh | PointCloud | Voxels | Sphere) -> SceneEdited:
 
 def plan_behind_the_post(bus: Bus) -> Plan:
     request = PlanRequest(start=HOME, goal=JointGoal(kind="joints", position=BEHIND_POST))
-    return bus.call(KEYS.plan, request, Plan, timeout=PATIENCE)
+    return bus.call(KEYS.plan, request, timeout=PATIENCE)
 
 
 def assert_around_the_post(plan: Plan) -> None:
@@ -114,7 +111,7 @@ def test_a_mesh_is_planned_around(empty: Bus) -> None:
 
 def test_the_cells_that_objects_of_any_kind_reach_into_are_told(empty: Bus) -> None:
     def reached(resolution: float) -> Occupancy:
-        return empty.call(KEYS.occupancy, OccupancyRequest(resolution=resolution), Occupancy, timeout=PATIENCE)
+        return empty.call(KEYS.occupancy, OccupancyRequest(resolution=resolution), timeout=PATIENCE)
 
     assert reached(0.05).cells == ()
     add(empty, MESH, Sphere(kind="sphere", name="ball", position=(1.0, 0.0, 0.0), radius=0.01))
@@ -134,7 +131,7 @@ def test_a_configuration_that_touches_a_mesh_is_found_with_pair_and_depth(empty:
     add(empty, MESH)
     touching = next(q for q in np.linspace(HOME, BEHIND_POST, 100) if Collisions(ROBOT, (POST,)).at(q))
     request = CheckRequest(joints=(HOME, tuple(touching.tolist())))
-    free, hit = empty.call(KEYS.check, request, CheckResults, timeout=PATIENCE).results
+    free, hit = empty.call(KEYS.check, request, timeout=PATIENCE).results
     assert not free.in_collision
     assert free.clearance > 0.0
     assert hit.in_collision
@@ -146,7 +143,7 @@ def test_a_configuration_that_touches_a_mesh_is_found_with_pair_and_depth(empty:
 def test_a_hundred_thousand_points_are_kept_as_voxels_and_planned_around(empty: Bus) -> None:
     points = cloud_of_the_post(100_000)
     add(empty, PointCloud(kind="cloud", name="seen", resolution=0.02, points=points))
-    (kept,) = empty.call(KEYS.scene, Nothing(), Scene, timeout=PATIENCE).objects
+    (kept,) = empty.read(KEYS.scene, timeout=PATIENCE).objects
     assert isinstance(kept, Voxels)
     cells = set(kept.cells)
     assert cells == {(round(x / 0.02), round(y / 0.02), round(z / 0.02)) for x, y, z in points}
@@ -165,7 +162,7 @@ def test_a_point_that_is_no_number_is_refused_by_its_place(empty: Bus, place: st
     assert problem["code"] == "invalid_request"
     assert problem["field"].startswith("edit.objects.0")
     assert problem["field"].endswith("points.1.1")
-    assert empty.call(KEYS.scene, Nothing(), Scene, timeout=PATIENCE).objects == ()
+    assert empty.read(KEYS.scene, timeout=PATIENCE).objects == ()
 
 
 @pytest.mark.parametrize("file", ["posts/nothing.stl", "../../etc/passwd.stl", "/etc/passwd", "posts"])
@@ -208,7 +205,7 @@ def test_the_command_line_adds_lists_saves_and_loads_meshes_and_voxels(empty: Bu
 
     done("add", "mesh", "vice", "--file", "posts/post.stl", "--at", "1,0,0,0,0,1,0", "--scale", "0.001")
     add(empty, PointCloud(kind="cloud", name="seen", points=cloud_of_the_post(5000)))
-    scene = empty.call(KEYS.scene, Nothing(), Scene, timeout=PATIENCE)
+    scene = empty.read(KEYS.scene, timeout=PATIENCE)
     vice, seen = scene.objects
     assert isinstance(vice, Mesh)
     assert vice.scale == (0.001, 0.001, 0.001)
@@ -220,5 +217,5 @@ def test_the_command_line_adds_lists_saves_and_loads_meshes_and_voxels(empty: Bu
     done("save", str(tmp_path / "scene.yaml"))
     done("clear")
     done("load", str(tmp_path / "scene.yaml"))
-    assert empty.call(KEYS.scene, Nothing(), Scene, timeout=PATIENCE).objects == scene.objects
+    assert empty.read(KEYS.scene, timeout=PATIENCE).objects == scene.objects
     assert yaml.safe_load((tmp_path / "scene.yaml").read_text())["objects"][0]["sha256"] == vice.sha256

@@ -172,10 +172,10 @@ def test_the_page_offers_the_planners_that_the_planner_has(page: Page, cell: Cel
             expect(page.get_by_role("option", name=name, exact=True)).to_be_visible()
         planner.press("Escape")
 
-    known = cell.bus.read(KEYS.planners, Planners, timeout=PATIENCE)
+    known = cell.bus.read(KEYS.planners, timeout=PATIENCE)
     offers(*known.names)
     assert "joint_space" in known.names
-    restarted = cell.bus.publisher(KEYS.planners, Planners)
+    restarted = cell.bus.publisher(KEYS.planners)
     restarted.put(Planners(names=(*known.names, "straight_line")))
     offers("auto", "straight_line")
     restarted.put(known)
@@ -213,7 +213,7 @@ def test_a_plan_passes_through_a_waypoint_where_it_was_dragged(page: Page, cell:
     page.get_by_role("button", name="Plan", exact=True).click()
 
     def through() -> Plan | None:
-        made = cell.bus.read(KEYS.plans, Plan, timeout=5)
+        made = cell.bus.read(KEYS.plans, timeout=5)
         return made if made.waypoint_times else None
 
     plan = eventually(through, "a plan with waypoints is made")

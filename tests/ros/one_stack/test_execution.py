@@ -21,19 +21,14 @@ from support.ros.stack import KEYS, Stack
 from support.trajectories import HOME
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import (
-    Accepted,
     AddObjects,
     Authority,
     CancelRequest,
     ExecuteRequest,
-    ExecutorState,
-    GoalState,
     LoadScene,
-    Nothing,
     Obstruction,
     RemoveObjects,
     SceneEdit,
-    SceneEdited,
     Sphere,
 )
 
@@ -65,7 +60,7 @@ def long_planned(running: Stack, robot: Robot) -> Iterator[list[float]]:
     for objects in (FENCE, ()):
         running.ros.configure(timeout=60.0 if objects else 5.0)
         edit = SceneEdit(edit=LoadScene(op="load", objects=objects))
-        robot.bus.call(KEYS.scene_edit, edit, SceneEdited, timeout=PATIENCE)
+        robot.bus.call(KEYS.scene_edit, edit, timeout=PATIENCE)
         if objects:
             yield list(BEHIND_FENCE)
 
@@ -129,7 +124,7 @@ def test_a_goal_that_somebody_else_cancels_ends_as_aborted_and_says_so(robot: Ro
     robot.plan()
     goal = actions.send()
     goal.under_way()
-    robot.bus.call(KEYS.cancel, CancelRequest(), ExecutorState, timeout=10)
+    robot.bus.call(KEYS.cancel, CancelRequest(), timeout=10)
     status, result = goal.ended()
     assert (status, result.message) == (ABORTED, "the goal was cancelled by a client")
     assert robot.rests()
@@ -140,9 +135,9 @@ def test_a_goal_that_is_refused_says_why_as_on_the_bus(robot: Robot, actions: Ac
     ball = Sphere(kind="sphere", name="ball", position=(2.0, 2.0, 2.0), radius=0.1)
     edits = (AddObjects(op="add", objects=(ball,)), RemoveObjects(op="remove", names=("ball",)))
     for edit in edits:
-        robot.bus.call(KEYS.scene_edit, SceneEdit(edit=edit), SceneEdited, timeout=10)
+        robot.bus.call(KEYS.scene_edit, SceneEdit(edit=edit), timeout=10)
     with pytest.raises(ZarmError, match="plan") as refusal:
-        robot.bus.call(KEYS.execute, ExecuteRequest(), Accepted, timeout=10)
+        robot.bus.call(KEYS.execute, ExecuteRequest(), timeout=10)
     status, result = actions.send().ended()
     assert (status, result.success, result.message) == (ABORTED, False, str(refusal.value))
 
@@ -157,7 +152,7 @@ def test_an_edit_of_the_scene_under_a_goal_is_said_on_rosout_and_the_goal_goes_o
     goal.under_way()
     ball = Sphere(kind="sphere", name="ball", position=(2.0, 2.0, 2.0), radius=0.1)
     for edit in (AddObjects(op="add", objects=(ball,)), RemoveObjects(op="remove", names=("ball",))):
-        robot.bus.call(KEYS.scene_edit, SceneEdit(edit=edit), SceneEdited, timeout=PATIENCE)
+        robot.bus.call(KEYS.scene_edit, SceneEdit(edit=edit), timeout=PATIENCE)
     changed = "The scene has changed since the motion "
     eventually(lambda: any(line.startswith(changed) for line in said), "the bridge says so")
     assert goal.ended()[0] == SUCCEEDED
@@ -207,12 +202,12 @@ def test_a_second_goal_is_rejected_with_the_reason_in_the_log(running: Stack, ro
 @pytest.mark.slow  # as any goal that is refused
 def test_a_goal_beside_one_of_another_client_is_aborted_as_busy(robot: Robot, actions: Actions) -> None:
     robot.plan()
-    goal_id = robot.bus.call(KEYS.execute, ExecuteRequest(), Accepted, timeout=10).goal_id
+    goal_id = robot.bus.call(KEYS.execute, ExecuteRequest(), timeout=10).goal_id
     status, result = actions.send().ended()
     assert status == ABORTED
     assert goal_id in result.message or "goal" in result.message
     robot.wait_rest()
-    assert robot.bus.call(KEYS.goal(goal_id), Nothing(), GoalState, timeout=10).status == "succeeded"
+    assert robot.bus.read(KEYS.goal(goal_id), timeout=10).status == "succeeded"
 
 
 @pytest.mark.slow  # as in the next
@@ -231,9 +226,9 @@ def test_a_second_goal_takes_the_place_of_the_first_where_that_is_configured(rob
 @pytest.mark.usefixtures("preempting")
 def test_a_preempting_goal_takes_the_place_of_another_clients_motion(robot: Robot, actions: Actions) -> None:
     robot.plan()
-    goal_id = robot.bus.call(KEYS.execute, ExecuteRequest(), Accepted, timeout=10).goal_id
+    goal_id = robot.bus.call(KEYS.execute, ExecuteRequest(), timeout=10).goal_id
     assert actions.send(target_pose=TARGET).ended()[0] == SUCCEEDED
-    assert robot.bus.call(KEYS.goal(goal_id), Nothing(), GoalState, timeout=10).status == "cancelled"
+    assert robot.bus.read(KEYS.goal(goal_id), timeout=10).status == "cancelled"
 
 
 @pytest.mark.slow
@@ -261,7 +256,7 @@ def test_what_a_goal_waits_for_is_on_the_diagnostics_and_with_the_strategy(
         goal = actions.send()
         goal.under_way()
         eventually(lambda: [one for one in told if "no servo watches" in one.message], "it is said to be unguarded")
-        servo = robot.bus.publisher(KEYS.authority, Authority)
+        servo = robot.bus.publisher(KEYS.authority)
         in_the_way = Authority(
             servo="test",
             sequence=1,

@@ -18,7 +18,7 @@ from support.harness import PATIENCE, eventually
 from support.ros.node import answer
 from support.ros.stack import KEYS, Stack
 from zarm_contract.errors import Busy
-from zarm_contract.messages import Cuboid, Cylinder, Nothing, Scene, Sphere, Strategies, StrategyRequest
+from zarm_contract.messages import Cuboid, Cylinder, Sphere, Strategies, StrategyRequest
 from zarm_contract.robot import find_robot
 
 DEFAULTS: dict[str, Any] = {
@@ -83,7 +83,7 @@ def switch(running: Stack, strategy: str) -> None:
 
     def switched() -> Strategies | None:
         with suppress(Busy):
-            return running.bus.call(KEYS.strategy, StrategyRequest(strategy=strategy), Strategies, timeout=20)
+            return running.bus.call(KEYS.strategy, StrategyRequest(strategy=strategy), timeout=20)
         return None
 
     eventually(switched, f"{strategy} is active")
@@ -163,7 +163,7 @@ def test_a_value_that_can_be_is_taken(parameters: Node, name: str, value: Any) -
 def test_control_strategy_switches_at_once(running: Stack, parameters: Node) -> None:
     for strategy in ("ghost", "emulator"):
         assert parameters.set("control_strategy", strategy) is None
-        assert running.bus.call(KEYS.strategy, StrategyRequest(), Strategies, timeout=10).active == strategy
+        assert running.bus.call(KEYS.strategy, StrategyRequest(), timeout=10).active == strategy
         assert parameters.get("control_strategy") == strategy
         parameters.becomes("robot_type", strategy)
 
@@ -195,7 +195,7 @@ def test_after_many_switches_at_once_the_parameters_say_what_is_active(running: 
         switch(running, "ghost")
         switch(running, "emulator")
         answer(pending, "the parameter is set")
-    active = running.bus.call(KEYS.strategy, StrategyRequest(), Strategies, timeout=10).active
+    active = running.bus.call(KEYS.strategy, StrategyRequest(), timeout=10).active
     parameters.becomes("control_strategy", active)
     parameters.becomes("robot_type", active)
     switch(running, "emulator")
@@ -223,7 +223,7 @@ def test_a_world_file_of_curobo_becomes_the_scene(running: Stack, parameters: No
     file = tmp_path / "world.yml"
     file.write_text(CUROBO_WORLD)
     assert parameters.set("world_file", str(file)) is None
-    scene = running.bus.call(KEYS.scene, Nothing(), Scene, timeout=10)
+    scene = running.bus.read(KEYS.scene, timeout=10)
     assert scene.objects == (
         Cuboid(kind="cuboid", name="table", position=(0.5, 0.0, -0.3), size=(1.0, 2.0, 0.1)),
         Sphere(kind="sphere", name="ball", position=(1.0, 2.0, 3.0), radius=0.1),
@@ -262,12 +262,12 @@ def test_a_world_file_that_cannot_be_read_is_refused_and_the_scene_stays(
 ) -> None:
     file = tmp_path / "world.yml"
     file.write_text(text)
-    before = running.bus.call(KEYS.scene, Nothing(), Scene, timeout=10)
+    before = running.bus.read(KEYS.scene, timeout=10)
     refusal = parameters.set("world_file", str(file))
     assert refusal is not None
     assert reason in refusal
     assert parameters.get("world_file") == ""
-    assert running.bus.call(KEYS.scene, Nothing(), Scene, timeout=10) == before
+    assert running.bus.read(KEYS.scene, timeout=10) == before
 
 
 def test_a_scene_of_zarm_is_loaded_as_it_is(running: Stack, parameters: Node, tmp_path: Path) -> None:
@@ -275,6 +275,6 @@ def test_a_scene_of_zarm_is_loaded_as_it_is(running: Stack, parameters: Node, tm
     file.write_text("objects: [{kind: sphere, name: ball, position: [0, 0, 9], radius: 0.1}]")
     assert parameters.set("world_file", str(file)) is None
     assert parameters.get("world_file") == str(file)
-    scene = running.bus.call(KEYS.scene, Nothing(), Scene, timeout=10)
+    scene = running.bus.read(KEYS.scene, timeout=10)
     assert scene.objects == (Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 9.0), radius=0.1),)
     assert parameters.set("world_file", "") is None

@@ -14,7 +14,7 @@ from support.harness import PATIENCE, eventually
 from support.ros.client import robot_type
 from support.ros.node import running_node
 from support.ros.stack import KEYS, RosClient, Stack
-from zarm_contract.messages import Strategies, StrategyRequest
+from zarm_contract.messages import StrategyRequest
 
 
 @pytest.fixture(scope="module")
@@ -26,13 +26,13 @@ def first_node(running: Stack) -> Iterator[Node]:
 
 @pytest.fixture
 def first(running: Stack, first_node: Node) -> RosClient:
-    running.bus.call(KEYS.strategy, StrategyRequest(strategy="emulator"), Strategies, timeout=20)
+    running.bus.call(KEYS.strategy, StrategyRequest(strategy="emulator"), timeout=20)
     eventually(lambda: robot_type(first_node) == "emulator", "robot_type follows")
     return RosClient(first_node)
 
 
 def active(running: Stack) -> str:
-    return running.bus.call(KEYS.strategy, StrategyRequest(), Strategies, timeout=10).active
+    return running.bus.call(KEYS.strategy, StrategyRequest(), timeout=10).active
 
 
 def test_version_2_switches_by_name_and_tells_both_names(running: Stack, first: RosClient) -> None:

@@ -11,14 +11,12 @@ from support.harness import eventually
 from support.trajectories import KEYS, ROBOT
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
-    Accepted,
     CancelRequest,
     ExecuteRequest,
     ExecutorState,
     GoalState,
     JointState,
     Nothing,
-    Speed,
     SpeedRequest,
     Strategies,
     StrategyRequest,
@@ -40,9 +38,9 @@ class Client:
         self.goals: list[GoalState] = []
         self.states: list[ExecutorState] = []
         self.measured: list[JointState] = []
-        bus.subscribe(keys.goal("*"), GoalState, lambda _, goal: self.goals.append(goal))
-        bus.subscribe(keys.executor_state, ExecutorState, lambda _, state: self.states.append(state))
-        bus.subscribe(keys.joint_states, JointState, lambda _, joints: self.measured.append(joints))
+        bus.subscribe(keys.goal("*"), lambda _, goal: self.goals.append(goal))
+        bus.subscribe(keys.executor_state, lambda _, state: self.states.append(state))
+        bus.subscribe(keys.joint_states, lambda _, joints: self.measured.append(joints))
 
     def execute(
         self,
@@ -62,28 +60,28 @@ class Client:
             goal_id=goal_id,
             replan=replan,
         )
-        return self.bus.call(self.keys.execute, request, Accepted, timeout=20).goal_id
+        return self.bus.call(self.keys.execute, request, timeout=20).goal_id
 
     def cancel(self, goal_id: str | None = None) -> ExecutorState:
-        return self.bus.call(self.keys.cancel, CancelRequest(goal_id=goal_id), ExecutorState, timeout=10)
+        return self.bus.call(self.keys.cancel, CancelRequest(goal_id=goal_id), timeout=10)
 
     def command(self, key: str) -> ExecutorState:
-        return self.bus.call(key, Nothing(), ExecutorState, timeout=10)
+        return self.bus.call(key, Nothing(), timeout=10)
 
     def strategy(self, name: str | None = None) -> Strategies:
-        return self.bus.call(self.keys.strategy, StrategyRequest(strategy=name), Strategies, timeout=20)
+        return self.bus.call(self.keys.strategy, StrategyRequest(strategy=name), timeout=20)
 
     def speed(self, scale: float | None = None) -> float:
         request = SpeedRequest(speed_scale=scale)
-        return self.bus.call(self.keys.speed, request, Speed, timeout=10).speed_scale
+        return self.bus.call(self.keys.speed, request, timeout=10).speed_scale
 
     def state(self) -> ExecutorState:
         """The executor's state as a late subscriber reads it."""
-        return self.bus.call(self.keys.executor_state, Nothing(), ExecutorState, timeout=10)
+        return self.bus.read(self.keys.executor_state, timeout=10)
 
     def goal(self, goal_id: str) -> GoalState:
         """A goal's state as a late subscriber reads it."""
-        return self.bus.call(self.keys.goal(goal_id), Nothing(), GoalState, timeout=10)
+        return self.bus.read(self.keys.goal(goal_id), timeout=10)
 
     def ended(self, goal_id: str) -> GoalState:
         """Wait for the goal's end."""

@@ -13,7 +13,7 @@ from support.harness import ServiceProcess, eventually
 from support.resources import favour
 from support.trajectories import HOME, ROBOT, moved, patient, rest_to_rest
 from zarm_contract.keys import Keys
-from zarm_contract.messages import DriverCommand, DriverFault, ExecutorState, JointState, Nothing
+from zarm_contract.messages import DriverCommand, DriverFault, ExecutorState, JointState
 from zarm_contract.robot import RobotDescription
 from zarm_runtime.bus import Bus
 
@@ -48,8 +48,8 @@ class Driven:
         self.client = Client(bus, keys)
         self.told: list[JointState] = []
         self.commands: list[DriverCommand] = []
-        bus.subscribe(keys.driver_joint_states, JointState, lambda _, state: self.told.append(state))
-        bus.subscribe(keys.driver_command, DriverCommand, lambda _, command: self.commands.append(command))
+        bus.subscribe(keys.driver_joint_states, lambda _, state: self.told.append(state))
+        bus.subscribe(keys.driver_command, lambda _, command: self.commands.append(command))
         self.driver: ServiceProcess
         self.executor: ServiceProcess
 
@@ -62,7 +62,7 @@ class Driven:
 
     def suffer(self, fault: DriverFault) -> None:
         """Give the driver a fault."""
-        self.bus.call(self.keys.simulated_fault, fault, Nothing, timeout=10)
+        self.bus.call(self.keys.simulated_fault, fault, timeout=10)
 
     def arm(self) -> np.ndarray:
         """The last reported position of the arm, in the executor's order."""

@@ -18,7 +18,7 @@ from support.network.router_process import router_process
 from support.resources import ahead_of_others, burden
 from support.trajectories import HOME, plan, rest_to_rest
 from zarm_contract.errors import Unavailable
-from zarm_contract.messages import ExecutorState, JointState, Plan, Trajectory
+from zarm_contract.messages import ExecutorState, JointState, Trajectory
 from zarm_leeloo_sim.player import Kind
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_router
@@ -108,8 +108,8 @@ class Arena(Driven):
     def ghost(self) -> list[JointState]:
         """The ghost's messages, stamped by the executor's own clock: it has a plan to play by now."""
         shown: list[JointState] = []
-        self.bus.subscribe(self.keys.preview_joint_states, JointState, lambda _, state: shown.append(state))
-        plans = self.bus.publisher(self.keys.plans, Plan)
+        self.bus.subscribe(self.keys.preview_joint_states, lambda _, state: shown.append(state))
+        plans = self.bus.publisher(self.keys.plans)
         eventually(lambda: plans.put(plan("seen", THERE)) or shown, "the ghost plays")
         return shown
 

@@ -14,7 +14,7 @@ from support.network.wire import Quality
 from support.resources import favour
 from support.trajectories import HOME, KEYS, moved
 from zarm_contract.errors import Unavailable
-from zarm_contract.messages import ExecutorState, Health, JointGoal, Nothing, Plan, PlanRequest
+from zarm_contract.messages import JointGoal, Nothing, Plan, PlanRequest
 
 AWAY = moved(0.5, -0.3, 0.2)
 
@@ -56,20 +56,20 @@ class Lab(Hosts):
         np.testing.assert_allclose(self.here.position(), target, atol=0.01)
         for host in self:
             assert {one: process.process.pid for one, process in self.services.items()} == {
-                one: host.bus.call(KEYS.health(one), Nothing(), Health, timeout=PATIENCE).pid for one in self.services
+                one: host.bus.call(KEYS.health(one), Nothing(), timeout=PATIENCE).pid for one in self.services
             }
             owners = [service for _, service, _ in host.bus.alive(KEYS.alive("*", "*"), timeout=5)]
             assert [owners.count(one) for one in self.services] == [1, 1], owners
 
     def _answers(self) -> bool:
         try:
-            return bool(self.workstation.bus.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=0.5))
+            return bool(self.workstation.bus.read(KEYS.executor_state, timeout=0.5))
         except Unavailable:
             return False
 
     def plan(self, *joints: float) -> Plan:
         goal = JointGoal(kind="joints", position=joints)
-        return self.workstation.bus.call(KEYS.plan, PlanRequest(goal=goal), Plan, timeout=PATIENCE)
+        return self.workstation.bus.call(KEYS.plan, PlanRequest(goal=goal), timeout=PATIENCE)
 
     def driver(self, host: Host) -> ExitStack:
         """The simulated driver on a host, with `joint_speed`; leaving switches back to the emulator."""

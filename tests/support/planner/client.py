@@ -10,7 +10,6 @@ from support.trajectories import KEYS, ROBOT
 from zarm_contract.messages import (
     Cuboid,
     Cylinder,
-    Health,
     JointGoal,
     LoadScene,
     Nothing,
@@ -46,13 +45,11 @@ BEHIND_FENCE = (float(np.pi), *HOME[1:])
 
 
 def load(bus: Bus, *objects: SceneObject) -> SceneEdited:
-    return bus.call(
-        KEYS.scene_edit, SceneEdit(edit=LoadScene(op="load", objects=objects)), SceneEdited, timeout=PATIENCE
-    )
+    return bus.call(KEYS.scene_edit, SceneEdit(edit=LoadScene(op="load", objects=objects)), timeout=PATIENCE)
 
 
 def plan(bus: Bus, request: PlanRequest) -> Plan:
-    return bus.call(KEYS.plan, request, Plan, timeout=PATIENCE)
+    return bus.call(KEYS.plan, request, timeout=PATIENCE)
 
 
 def to_joints(*position: float) -> JointGoal:
@@ -60,7 +57,7 @@ def to_joints(*position: float) -> JointGoal:
 
 
 def is_alive(bus: Bus) -> bool:
-    return bus.call(KEYS.health("planner"), Nothing(), Health, timeout=PATIENCE).ready
+    return bus.call(KEYS.health("planner"), Nothing(), timeout=PATIENCE).ready
 
 
 def assert_sound(plan: Plan, start: tuple[float, ...], objects: tuple[SceneObject, ...]) -> np.ndarray:

@@ -10,23 +10,30 @@ import json
 import os
 import sys
 import threading
+from typing import Any
+
+from zenoh import KeyExpr
 
 from zarm_contract.codec import decode
 from zarm_contract.errors import ZarmError
-from zarm_contract.messages import IkRequest, IkSolutions, Plan, PlanRequest
+from zarm_contract.key import Query
+from zarm_contract.keys import Keys
+from zarm_contract.messages import Plan, PlanRequest
 from zarm_runtime.bus import Bus
 
 
 def main() -> None:
-    endpoint, key, count = sys.argv[1], sys.argv[2], int(sys.argv[3])
-    asked, answered = (PlanRequest, Plan) if key.endswith("/planner/plan") else (IkRequest, IkSolutions)
-    request = decode(asked, sys.stdin.buffer.read())
+    endpoint, expression, count = sys.argv[1], sys.argv[2], int(sys.argv[3])
+    key: Query[Any, Any] = next(one.at(expression) for one in (Keys.plan, Keys.ik) if KeyExpr(one).includes(expression))
+    request = decode(key.request, sys.stdin.buffer.read())
     with Bus(endpoint) as bus:
 
         def ask(number: int) -> None:
-            named = request.model_copy(update={"request_id": f"greedy-{number}"}) if asked is PlanRequest else request
+            named = (
+                request.model_copy(update={"request_id": f"greedy-{number}"}) if key.request is PlanRequest else request
+            )
             try:
-                answer = bus.call(key, named, answered, timeout=120)
+                answer = bus.call(key, named, timeout=120)
             except ZarmError as error:
                 line: dict[str, object] = {"code": error.code, "message": str(error)}
             else:

@@ -15,7 +15,7 @@ from curobo_msgs.action import SendTrajectory
 from support.harness import PATIENCE, eventually
 from support.ros.node import answer, on_its_thread
 from zarm_contract.keys import Keys
-from zarm_contract.messages import ExecutorState, JointGoal, JointState, Nothing, Plan, PlanRequest
+from zarm_contract.messages import ExecutorState, JointGoal, JointState, Plan, PlanRequest
 from zarm_contract.robot import load_robot
 from zarm_runtime.bus import Bus
 
@@ -100,7 +100,7 @@ class Robot:
     def __init__(self, bus: Bus, keys: Keys) -> None:
         self.bus = bus
         self.keys = keys
-        self._measured = bus.latest(keys.joint_states, JointState)
+        self._measured = bus.latest(keys.joint_states)
 
     def joints(self) -> tuple[float, ...]:
         """Its position (rad)."""
@@ -108,7 +108,7 @@ class Robot:
 
     def state(self) -> ExecutorState:
         """The state of its executor."""
-        return self.bus.call(self.keys.executor_state, Nothing(), ExecutorState, timeout=10)
+        return self.bus.read(self.keys.executor_state, timeout=10)
 
     def rests(self) -> bool:
         """Whether it has no goal and its joints, measured from now on, stand."""
@@ -130,4 +130,4 @@ class Robot:
         self.wait_rest()
         goal = (-0.4 if self.joints()[0] > 0.0 else 0.4, *HOME[1:])
         request = PlanRequest(goal=JointGoal(kind="joints", position=goal), velocity_scale=speed)
-        return self.bus.call(self.keys.plan, request, Plan, timeout=PATIENCE)
+        return self.bus.call(self.keys.plan, request, timeout=PATIENCE)

@@ -38,7 +38,7 @@ def state(names: tuple[str, ...], values: tuple[float, ...]) -> JointState:
 def test_joint_states_are_read_by_name_whatever_their_order_and_company(link: DriverLink, bus: Bus) -> None:
     assert link.measured() is None
     assert "start the robot's driver" in (link.obstacle() or "")
-    driver = bus.publisher(KEYS.driver_joint_states, JointState)
+    driver = bus.publisher(KEYS.driver_joint_states)
     before = time.monotonic()
     driver.put(state(("gripper", *ORDER), (9.0, 6.0, 1.0, 3.0, 2.0, 4.0, 5.0)))
     measured = eventually(link.measured, "the joints arrive")
@@ -53,7 +53,7 @@ def test_joints_of_another_robot_and_what_cannot_be_read_are_ignored_loudly_once
     link: DriverLink, bus: Bus, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.WARNING)
-    driver = bus.publisher(KEYS.driver_joint_states, JointState)
+    driver = bus.publisher(KEYS.driver_joint_states)
     driver.put(state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)))
     good = eventually(link.measured, "the joints arrive")
     for _ in range(3):
@@ -63,7 +63,7 @@ def test_joints_of_another_robot_and_what_cannot_be_read_are_ignored_loudly_once
 
 
 def test_joints_that_are_told_again_and_again_with_one_stamp_grow_old(link: DriverLink, bus: Bus) -> None:
-    driver = bus.publisher(KEYS.driver_joint_states, JointState)
+    driver = bus.publisher(KEYS.driver_joint_states)
     newest = link._states
     frozen = state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
     driver.put(frozen)
@@ -76,7 +76,7 @@ def test_joints_that_are_told_again_and_again_with_one_stamp_grow_old(link: Driv
 
 
 def test_after_a_silence_what_was_told_during_it_is_passed_over(link: DriverLink, bus: Bus) -> None:
-    driver = bus.publisher(KEYS.driver_joint_states, JointState)
+    driver = bus.publisher(KEYS.driver_joint_states)
     told = state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
     driver.put(told)
     first = eventually(link.measured, "the joints arrive")
@@ -91,7 +91,7 @@ def test_after_a_silence_what_was_told_during_it_is_passed_over(link: DriverLink
 
 @pytest.mark.lengthy
 def test_a_driver_whose_clock_is_stepped_back_during_a_silence_is_heard_again(link: DriverLink, bus: Bus) -> None:
-    driver = bus.publisher(KEYS.driver_joint_states, JointState)
+    driver = bus.publisher(KEYS.driver_joint_states)
     told = state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
     driver.put(told)
     first = eventually(link.measured, "the joints arrive")
@@ -102,8 +102,8 @@ def test_a_driver_whose_clock_is_stepped_back_during_a_silence_is_heard_again(li
 
 def test_a_command_has_its_columns_in_the_drivers_order(link: DriverLink, bus: Bus) -> None:
     commands: list[DriverCommand] = []
-    bus.subscribe(KEYS.driver_command, DriverCommand, lambda _, command: commands.append(command))
-    driver = bus.publisher(KEYS.driver_joint_states, JointState)
+    bus.subscribe(KEYS.driver_command, lambda _, command: commands.append(command))
+    driver = bus.publisher(KEYS.driver_joint_states)
     driver.put(state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)))
     eventually(link.measured, "the joints arrive")
     path = TimedTrajectory.of(rest_to_rest(moved(0.1, 0.2, 0.3)), JOINTS)
@@ -127,7 +127,7 @@ def test_a_command_has_its_columns_in_the_drivers_order(link: DriverLink, bus: B
 
 
 def test_progress_counts_for_the_command_that_it_names(link: DriverLink, bus: Bus) -> None:
-    progress = bus.publisher(KEYS.driver_progress, DriverProgress)
+    progress = bus.publisher(KEYS.driver_progress)
     progress.put(DriverProgress(sequence=3, fraction=0.25))
     assert eventually(lambda: link.fraction(3), "the progress arrives") == 0.25
     assert link.fraction(4) is None

@@ -19,7 +19,6 @@ from zarm_contract import messages as m
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InternalError, Problem
 from zarm_contract.keys import Keys
-from zarm_contract.messages import Message
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import listens_at, router_config, run_router
 
@@ -55,8 +54,8 @@ def test_every_value_of_a_burst_arrives_at_a_reader_that_stands_still_for_a_mome
         seen.append(goal.elapsed)
 
     with closing(run_router(config)), Bus(endpoint) as publishing, Bus(endpoint) as reading:
-        goals = publishing.latched(KEYS.goal("*"), m.GoalState)
-        reading.subscribe(KEYS.goal("*"), m.GoalState, read)
+        goals = publishing.latched(KEYS.goal("*"))
+        reading.subscribe(KEYS.goal("*"), read)
         declared(reading)
         published = 0
 
@@ -79,12 +78,12 @@ def test_every_value_of_a_burst_arrives_at_a_reader_that_stands_still_for_a_mome
 
 
 def test_a_late_joiner_sees_the_present_state_and_then_every_change(bus: Bus, other: Bus) -> None:
-    state = bus.latched(KEYS.executor_state, m.ExecutorState)
+    state = bus.latched(KEYS.executor_state)
     state.set(RUNNING)
     state.set(IDLE)
     declared(bus)
     inbox: Inbox = queue.SimpleQueue()
-    other.watch(KEYS.executor_state, m.ExecutorState, lambda key, message: inbox.put((key, message)))
+    other.watch(KEYS.executor_state, lambda key, message: inbox.put((key, message)))
     assert inbox.get_nowait() == (KEYS.executor_state, IDLE)
     declared(other)
     state.set(RUNNING)
@@ -93,7 +92,7 @@ def test_a_late_joiner_sees_the_present_state_and_then_every_change(bus: Bus, ot
 
 
 def test_a_plain_query_reads_a_latched_value_and_what_it_is(bus: Bus, plain: zenoh.Session) -> None:
-    bus.latched(KEYS.executor_state, m.ExecutorState).set(IDLE)
+    bus.latched(KEYS.executor_state).set(IDLE)
     declared(bus)
     (reply,) = plain.get("zarm/*/executor/state", timeout=PATIENCE)
     assert reply.ok is not None
@@ -103,27 +102,27 @@ def test_a_plain_query_reads_a_latched_value_and_what_it_is(bus: Bus, plain: zen
 
 
 def test_a_latched_value_that_is_not_set_yet_answers_nothing(bus: Bus, other: Bus) -> None:
-    bus.latched(KEYS.executor_state, m.ExecutorState)
+    bus.latched(KEYS.executor_state)
     declared(bus)
     inbox: Inbox = queue.SimpleQueue()
-    other.watch(KEYS.executor_state, m.ExecutorState, lambda key, message: inbox.put((key, message)))
+    other.watch(KEYS.executor_state, lambda key, message: inbox.put((key, message)))
     assert inbox.empty()
 
 
 def test_a_change_can_be_read_at_once_and_is_published_with_all_before_it(bus: Bus, other: Bus) -> None:
-    states, seen = bus.latched(KEYS.executor_state, m.ExecutorState), queue.SimpleQueue[m.ExecutorState]()
-    other.subscribe(KEYS.executor_state, m.ExecutorState, lambda _, state: seen.put(state))
+    states, seen = bus.latched(KEYS.executor_state), queue.SimpleQueue[m.ExecutorState]()
+    other.subscribe(KEYS.executor_state, lambda _, state: seen.put(state))
     declared(other)
     states.change(RUNNING)
     states.change(IDLE)
-    assert other.read(KEYS.executor_state, m.ExecutorState, timeout=PATIENCE) == IDLE
+    assert other.read(KEYS.executor_state, timeout=PATIENCE) == IDLE
     assert seen.empty()
     states.set(RUNNING)
     assert [seen.get(timeout=PATIENCE) for _ in range(3)] == [RUNNING, IDLE, RUNNING]
 
 
 def test_a_family_answers_for_one_member_or_for_all(bus: Bus, plain: zenoh.Session) -> None:
-    goals = bus.latched(KEYS.goal("*"), m.GoalState)
+    goals = bus.latched(KEYS.goal("*"))
     expected = {}
     for name in ("goal-1", "goal-2", "goal-3"):
         expected[KEYS.goal(name)] = GOAL.model_copy(update={"goal_id": name})
@@ -143,7 +142,7 @@ def test_a_family_answers_for_one_member_or_for_all(bus: Bus, plain: zenoh.Sessi
 
 
 def test_each_member_of_a_family_says_what_it_is(bus: Bus, plain: zenoh.Session) -> None:
-    objects = bus.latched(KEYS.scene_object("*"), Message)
+    objects = bus.latched(KEYS.scene_object("*"))
     for (example,) in (by_class()[m.Sphere], by_class()[m.Cuboid]):
         objects.set(example, key=KEYS.scene_object(example.name))
     declared(bus)
@@ -156,11 +155,11 @@ def test_each_member_of_a_family_says_what_it_is(bus: Bus, plain: zenoh.Session)
 
 
 def test_a_watcher_of_a_family_sees_every_member_and_new_ones(bus: Bus, other: Bus) -> None:
-    goals = bus.latched(KEYS.goal("*"), m.GoalState)
+    goals = bus.latched(KEYS.goal("*"))
     goals.set(GOAL, key=KEYS.goal("goal-1"))
     declared(bus)
     inbox: queue.SimpleQueue[tuple[str, m.GoalState]] = queue.SimpleQueue()
-    other.watch(KEYS.goal("*"), m.GoalState, lambda key, message: inbox.put((key, message)))
+    other.watch(KEYS.goal("*"), lambda key, message: inbox.put((key, message)))
     assert inbox.get_nowait()[0] == KEYS.goal("goal-1")
     declared(other)
     goals.set(GOAL, key=KEYS.goal("goal-2"))
@@ -169,14 +168,14 @@ def test_a_watcher_of_a_family_sees_every_member_and_new_ones(bus: Bus, other: B
 
 @pytest.mark.lengthy
 def test_what_a_watcher_missed_while_its_link_was_down_is_told_when_that_is_back(bus: Bus, endpoint: str) -> None:
-    state, goals = bus.latched(KEYS.executor_state, m.ExecutorState), bus.latched(KEYS.goal("*"), m.GoalState)
+    state, goals = bus.latched(KEYS.executor_state), bus.latched(KEYS.goal("*"))
     state.set(IDLE)
     declared(bus)
     states: queue.SimpleQueue[m.ExecutorState] = queue.SimpleQueue()
     seen: queue.SimpleQueue[str] = queue.SimpleQueue()
     with link(endpoint) as wire, Bus(wire.endpoint) as far:
-        far.watch(KEYS.executor_state, m.ExecutorState, lambda _, message: states.put(message))
-        far.watch(KEYS.goal("*"), m.GoalState, lambda key, _: seen.put(key))
+        far.watch(KEYS.executor_state, lambda _, message: states.put(message))
+        far.watch(KEYS.goal("*"), lambda key, _: seen.put(key))
         assert states.get_nowait() == IDLE
         for value, name in ((RUNNING, "goal-1"), (IDLE, "goal-2")):
             wire.cut()
@@ -191,11 +190,11 @@ def test_what_a_watcher_missed_while_its_link_was_down_is_told_when_that_is_back
 def test_a_key_that_takes_requests_can_be_watched_as_well(bus: Bus, other: Bus) -> None:
     """`planner/settings` is served and published: an empty request reads."""
     before, after = m.PlannerSettings(), m.PlannerSettings(margin=0.02)
-    bus.serve(KEYS.settings, m.SettingsChange, lambda _: before, readable=True)
-    publisher = bus.publisher(KEYS.settings, m.PlannerSettings)
+    bus.serve(KEYS.settings, lambda _: before)
+    publisher = bus.publisher(KEYS.settings)
     declared(bus)
     inbox: queue.SimpleQueue[m.PlannerSettings] = queue.SimpleQueue()
-    other.watch(KEYS.settings, m.PlannerSettings, lambda _, message: inbox.put(message))
+    other.watch(KEYS.settings, lambda _, message: inbox.put(message))
     assert inbox.get_nowait() == before
 
     def published() -> bool:
@@ -224,7 +223,7 @@ def test_the_last_call_of_a_watcher_is_with_the_newest_value(plain: zenoh.Sessio
 
     queryable = plain.declare_queryable(KEYS.executor_state, answer, complete=True)
     list(plain.liveliness().get("zarm/*/*/@alive/*", timeout=PATIENCE))
-    other.watch(KEYS.executor_state, m.ExecutorState, receive, timeout=PATIENCE)
+    other.watch(KEYS.executor_state, receive, timeout=PATIENCE)
     queryable.undeclare()
     assert changed.is_set()
     while not inbox.empty():
@@ -238,7 +237,7 @@ def test_a_subscriber_drops_what_it_cannot_read_and_goes_on(
     plain: zenoh.Session, other: Bus, caplog: pytest.LogCaptureFixture
 ) -> None:
     inbox: Inbox = queue.SimpleQueue()
-    other.subscribe(KEYS.executor_state, m.ExecutorState, lambda key, message: inbox.put((key, message)))
+    other.subscribe(KEYS.executor_state, lambda key, message: inbox.put((key, message)))
     declared(other)
     for garbage in (b"", b"\xff\x00", b"[]", b'{"mode": "flying"}'):
         plain.put(KEYS.executor_state, garbage)
@@ -259,7 +258,7 @@ def test_a_subscriber_that_fails_is_logged_and_gets_the_next_message(
             raise InternalError("a fault of the subscriber")
         inbox.put((key, message))
 
-    other.subscribe(KEYS.executor_state, m.ExecutorState, receive)
+    other.subscribe(KEYS.executor_state, receive)
     declared(other)
     plain.put(KEYS.executor_state, encode(RUNNING))
     plain.put(KEYS.executor_state, encode(IDLE))
@@ -271,8 +270,8 @@ def test_a_subscriber_that_fails_is_logged_and_gets_the_next_message(
 def test_a_deletion_on_the_bus_is_no_message(plain: zenoh.Session, other: Bus) -> None:
     """Its payload is empty, which would read as an empty request."""
     inbox: queue.SimpleQueue[m.CancelRequest] = queue.SimpleQueue()
-    other.subscribe(KEYS.cancel, m.CancelRequest, lambda _, message: inbox.put(message))
-    latest = other.latest(KEYS.cancel, m.CancelRequest)
+    other.subscribe(KEYS.cancel, lambda _, message: inbox.put(message))
+    latest = other.latest(KEYS.cancel)
     declared(other)
     request = m.CancelRequest(goal_id="goal-1")
     with ThreadPoolExecutor(1) as pool:
@@ -295,10 +294,10 @@ def test_a_deletion_on_the_bus_is_no_message(plain: zenoh.Session, other: Bus) -
 
 @pytest.mark.parametrize("realtime", [False, True], ids=["queued", "realtime"])
 def test_the_newest_message_is_kept_and_knows_its_age(bus: Bus, other: Bus, realtime: bool) -> None:
-    latest = other.latest(KEYS.joint_states, m.JointState)
+    latest = other.latest(KEYS.joint_states)
     assert latest.get() is None
     assert latest.get(max_age=PATIENCE) is None
-    publisher = bus.publisher(KEYS.joint_states, m.JointState, realtime=realtime)
+    publisher = bus.publisher(KEYS.joint_states)
 
     def arrived(stamp: float) -> bool:
         publisher.put(stamped(stamp))
@@ -315,7 +314,7 @@ def test_the_newest_message_is_kept_and_knows_its_age(bus: Bus, other: Bus, real
 
 
 def test_waiting_returns_the_next_message_and_not_the_present_one(plain: zenoh.Session, other: Bus) -> None:
-    latest = other.latest(KEYS.joint_states, m.JointState)
+    latest = other.latest(KEYS.joint_states)
     declared(other)
     plain.put(KEYS.joint_states, encode(stamped(1.0)))
     eventually(latest.get, "the first message is there")
@@ -331,13 +330,13 @@ def test_waiting_returns_the_next_message_and_not_the_present_one(plain: zenoh.S
 
 
 def test_waiting_in_vain_ends(other: Bus) -> None:
-    assert other.latest(KEYS.joint_states, m.JointState).wait(0.01) is None
+    assert other.latest(KEYS.joint_states).wait(0.01) is None
 
 
 def test_the_newest_message_is_dropped_when_it_cannot_be_read(
     plain: zenoh.Session, other: Bus, caplog: pytest.LogCaptureFixture
 ) -> None:
-    latest = other.latest(KEYS.joint_states, m.JointState)
+    latest = other.latest(KEYS.joint_states)
     declared(other)
     plain.put(KEYS.joint_states, b'{"stamp": NaN}')
     eventually(lambda: latest.get() is None and caplog.records, "the garbage is noticed")
@@ -368,17 +367,17 @@ def test_a_token_shows_a_process_until_it_ends(endpoint: str, other: Bus) -> Non
 
 
 def test_an_observer_is_told_all_that_is_sent_and_received_as_it_went_over_the_bus(bus: Bus, other: Bus) -> None:
-    bus.latched(KEYS.executor_state, m.ExecutorState).set(IDLE)
+    bus.latched(KEYS.executor_state).set(IDLE)
     declared(bus)
     sent: list[tuple[str, bytes]] = []
     received: list[tuple[str, bytes]] = []
     bus.observe(lambda key, payload: sent.append((key, payload)))
     other.observe(lambda key, payload: received.append((key, payload)))
     inbox: Inbox = queue.SimpleQueue()
-    other.watch(KEYS.executor_state, m.ExecutorState, lambda key, message: inbox.put((key, message)))
-    other.subscribe(KEYS.goal("*"), m.GoalState, lambda _, __: None)
-    latest = other.latest(KEYS.joint_states, m.JointState)
-    goals, joints = bus.latched(KEYS.goal("*"), m.GoalState), bus.publisher(KEYS.joint_states, m.JointState)
+    other.watch(KEYS.executor_state, lambda key, message: inbox.put((key, message)))
+    other.subscribe(KEYS.goal("*"), lambda _, __: None)
+    latest = other.latest(KEYS.joint_states)
+    goals, joints = bus.latched(KEYS.goal("*")), bus.publisher(KEYS.joint_states)
     declared(other)
     goals.set(GOAL, key=KEYS.goal("goal-1"))
     joints.put(JOINTS)

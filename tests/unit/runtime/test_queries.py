@@ -41,12 +41,12 @@ REQUEST = m.FkRequest(joints=((0.1, 0.2),))
 
 
 def serve(bus: Bus, handler: Callable[[m.FkRequest], Message], *, workers: int = 2, backlog: int = 16) -> None:
-    bus.serve(KEYS.fk, m.FkRequest, handler, workers=workers, backlog=backlog)
+    bus.serve(KEYS.fk, handler, workers=workers, backlog=backlog)
     declared(bus)
 
 
 def call(bus: Bus, timeout: float = PATIENCE) -> m.FkPoses:
-    return bus.call(KEYS.fk, REQUEST, m.FkPoses, timeout=timeout)
+    return bus.call(KEYS.fk, REQUEST, timeout=timeout)
 
 
 # -- answers --
@@ -135,16 +135,16 @@ def test_an_answer_that_cannot_be_read_is_a_fault_of_zarm(bus: Bus, other: Bus) 
 def test_a_request_that_cannot_be_read_is_refused_with_its_field(bus: Bus, other: Bus) -> None:
     serve(bus, lambda _: ANSWER)
     with pytest.raises(InvalidRequest) as refusal:
-        other.call(KEYS.fk, m.CancelPlan(request_id="request-1"), m.FkPoses, timeout=PATIENCE)
+        other.call(KEYS.fk, m.CancelPlan(request_id="request-1"), timeout=PATIENCE)
     assert refusal.value.problem.field == "joints"
 
 
 def test_a_request_over_the_limit_is_refused(bus: Bus, other: Bus) -> None:
-    bus.serve(KEYS.scene_edit, m.RemoveObjects, lambda _: m.SceneEdited(revision="1-5be0c1d2f3a4", count=0))
+    bus.serve(KEYS.scene_edit, lambda _: m.SceneEdited(revision="1-5be0c1d2f3a4", count=0))
     declared(bus)
     names = ("n" * 64,) * (MAX_BYTES // 64)
     with pytest.raises(InvalidRequest) as refusal:
-        other.call(KEYS.scene_edit, m.RemoveObjects(op="remove", names=names), m.SceneEdited, timeout=PATIENCE)
+        other.call(KEYS.scene_edit, m.RemoveObjects(op="remove", names=names), timeout=PATIENCE)
     assert refusal.value.problem.field == "payload"
 
 
@@ -209,7 +209,7 @@ def test_a_request_without_an_encoding_is_served(bus: Bus, plain: zenoh.Session)
 
 
 def test_a_query_without_a_payload_is_an_empty_request(bus: Bus, plain: zenoh.Session) -> None:
-    bus.serve(KEYS.check, m.CheckRequest, lambda request: m.CancelledPlan(was_running=request == m.CheckRequest()))
+    bus.serve(KEYS.check, lambda request: m.CancelledPlan(was_running=request == m.CheckRequest()))
     declared(bus)
     assert reply_to(plain, KEYS.check) == [encode(m.CancelledPlan(was_running=True))]
 
@@ -236,7 +236,7 @@ def test_looking_around_sets_off_no_command(bus: Bus, plain: zenoh.Session) -> N
         moved.append(request)
         return m.Accepted(goal_id="goal-1")
 
-    bus.serve(KEYS.execute, m.ExecuteRequest, execute)
+    bus.serve(KEYS.execute, execute)
     declared(bus)
     for selector in ("zarm/**", "zarm/*/executor/*", "**"):
         assert reply_to(plain, selector) == []
@@ -252,7 +252,7 @@ def test_looking_around_reads_what_is_readable_and_changes_nothing(bus: Bus, pla
         changes.append(change)
         return settings
 
-    bus.serve(KEYS.settings, m.SettingsChange, handler, readable=True)
+    bus.serve(KEYS.settings, handler)
     declared(bus)
     assert reply_to(plain, "zarm/**") == [encode(settings)]
     assert reply_to(plain, "zarm/**", b'{"margin": 0.1}') == []
@@ -305,7 +305,7 @@ def test_one_client_has_its_share_of_requests_in_hand_and_another_is_served(bus:
             release.wait(PATIENCE)
         return ANSWER
 
-    bus.serve(KEYS.fk, m.FkRequest, handler, workers=4, backlog=0, shared=True)
+    bus.serve(KEYS.fk, handler, workers=4, backlog=0, shared=True)
     declared(bus)
     with ThreadPoolExecutor(2) as callers:
         taken = [callers.submit(call, other) for _ in range(2)]

@@ -34,7 +34,7 @@ joint_states = st.integers(1, 8).flatmap(
         velocity=st.tuples(*[numbers] * width),
     )
 )
-keys = st.sampled_from([key.replace("*", "goal-1") for key in RECORDED.models])
+keys = st.sampled_from([key.replace("*", "goal-1") for key in RECORDED.keys])
 entries = st.tuples(st.integers(0, 2**62), keys, st.binary(max_size=400))
 
 
@@ -66,7 +66,7 @@ def test_messages_that_are_written_are_read_back_equal(path: Path, states: list[
 
 def test_a_record_has_channels_schemas_statistics_and_an_index_that_viewers_need(path: Path) -> None:
     goals = [KEYS.goal("goal-1"), KEYS.goal("goal-2")]
-    others = [key for key in RECORDED.models if "*" not in key]
+    others = [key for key in RECORDED.keys if "*" not in key]
     write(path, [(at, key, b"{}") for at, key in enumerate(goals + others)])
     with path.open("rb") as stream:
         summary = make_reader(stream, validate_crcs=True).get_summary()
@@ -81,7 +81,7 @@ def test_a_record_has_channels_schemas_statistics_and_an_index_that_viewers_need
     assert all(index.message_index_offsets for index in summary.chunk_indexes)
 
 
-@pytest.mark.parametrize("model", sorted(set(RECORDED.models.values()), key=schema), ids=schema)
+@pytest.mark.parametrize("model", sorted({key.model for key in RECORDED.keys.values()}, key=schema), ids=schema)
 def test_the_schema_of_every_recorded_class_is_one_that_foxglove_reads(model: type) -> None:
     def readable(node: dict[str, Any]) -> None:  # as parseJsonSchema of foxglove/studio has it
         for name, field in node["properties"].items():

@@ -22,7 +22,7 @@ IDLE = m.ExecutorState(mode="idle", strategy="emulator", speed_scale=1.0, missed
 def ask(bus: Bus) -> bool:
     """Whether a call is answered."""
     try:
-        return bus.call(KEYS.stop, m.Nothing(), m.ExecutorState, timeout=PATIENCE) == IDLE
+        return bus.call(KEYS.stop, m.Nothing(), timeout=PATIENCE) == IDLE
     except Unavailable:
         return False
 
@@ -56,11 +56,11 @@ def test_what_is_no_endpoint_is_refused(endpoint: str) -> None:
 def test_closing_leaves_no_thread_and_twice_is_harmless(endpoint: str) -> None:
     before = set(threading.enumerate())
     bus = Bus(endpoint)
-    bus.serve(KEYS.stop, m.Nothing, lambda _: IDLE)
-    bus.latched(KEYS.executor_state, m.ExecutorState).set(IDLE)
-    bus.publisher(KEYS.joint_states, m.JointState)
-    bus.latest(KEYS.joint_states, m.JointState)
-    bus.watch(KEYS.executor_state, m.ExecutorState, lambda *_: None)
+    bus.serve(KEYS.stop, lambda _: IDLE)
+    bus.latched(KEYS.executor_state).set(IDLE)
+    bus.publisher(KEYS.joint_states)
+    bus.latest(KEYS.joint_states)
+    bus.watch(KEYS.executor_state, lambda *_: None)
     bus.declare_alive(KEYS.alive("executor", "a"))
     assert ask(bus)
     assert set(threading.enumerate()) > before
@@ -73,7 +73,7 @@ def test_a_session_that_is_closed_answers_unavailable(endpoint: str) -> None:
     with Bus(endpoint) as bus:
         pass
     with pytest.raises(Unavailable):
-        bus.call(KEYS.stop, m.Nothing(), m.ExecutorState, timeout=PATIENCE)
+        bus.call(KEYS.stop, m.Nothing(), timeout=PATIENCE)
 
 
 def test_closing_lets_the_request_in_hand_finish_and_refuses_the_rest(endpoint: str, other: Bus) -> None:
@@ -85,7 +85,7 @@ def test_closing_lets_the_request_in_hand_finish_and_refuses_the_rest(endpoint: 
         return IDLE
 
     bus = Bus(endpoint)
-    bus.serve(KEYS.stop, m.Nothing, handler, workers=1)
+    bus.serve(KEYS.stop, handler, workers=1)
     declared(bus)
     answers: queue.SimpleQueue[bool] = queue.SimpleQueue()
     in_hand = threading.Thread(target=lambda: answers.put(ask(other)))
@@ -109,11 +109,11 @@ def test_when_the_router_is_gone_and_back_everything_works_again() -> None:
     endpoint = free_endpoint()
     router = open_router(endpoint)
     with Bus(endpoint) as service, Bus(endpoint) as client:
-        service.serve(KEYS.stop, m.Nothing, lambda _: IDLE)
-        state = service.latched(KEYS.executor_state, m.ExecutorState)
+        service.serve(KEYS.stop, lambda _: IDLE)
+        state = service.latched(KEYS.executor_state)
         service.declare_alive(KEYS.alive("executor", "a"))
         inbox: queue.SimpleQueue[m.ExecutorState] = queue.SimpleQueue()
-        client.subscribe(KEYS.executor_state, m.ExecutorState, lambda _, message: inbox.put(message))
+        client.subscribe(KEYS.executor_state, lambda _, message: inbox.put(message))
         declared(service)
         assert ask(client)
 

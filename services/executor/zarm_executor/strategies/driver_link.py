@@ -9,7 +9,7 @@ import numpy as np
 
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
-from zarm_contract.messages import DriverCommand, DriverProgress, JointState
+from zarm_contract.messages import DriverCommand
 from zarm_contract.robot import RobotDescription, StrategyParams
 from zarm_executor.strategies.base import Measured
 from zarm_runtime.bus import Bus
@@ -53,9 +53,9 @@ class DriverLink:
         self._names = params.joint_order or self.joints
         self._columns = [self.joints.index(name) for name in self._names]
         self._key = keys.driver_joint_states
-        self._commands = bus.publisher(keys.driver_command, DriverCommand, realtime=True)
-        self._states = bus.latest(keys.driver_joint_states, JointState)
-        self._progress = bus.latest(keys.driver_progress, DriverProgress)
+        self._commands = bus.publisher(keys.driver_command)
+        self._states = bus.latest(keys.driver_joint_states)
+        self._progress = bus.latest(keys.driver_progress)
         self._sequence = 0
         self._measured: Measured | None = None
         self._stamp: float | None = None

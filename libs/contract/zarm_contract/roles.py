@@ -1,0 +1,25 @@
+"""What a process may be on the bus."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, get_args
+
+Role = Literal["router", "planner", "executor", "servo", "bridge", "driver", "operator", "viewer"]
+"""What a process is on the bus; the common name of its certificate."""
+
+ROLES: tuple[Role, ...] = get_args(Role)
+SERVICE_ROLES: Mapping[str, Role] = {
+    "planner": "planner",
+    "executor": "executor",
+    "servo": "servo",
+    "ros_bridge": "bridge",
+    "leeloo_sim": "driver",
+}
+"""The role of each service, by its name on the bus."""
+
+Roles = tuple[Role, ...]
+
+EVERYONE: Roles = tuple(role for role in ROLES if role != "router")
+DRIVES: Roles = ("operator", "bridge")
+"""Those who make plans, change the scene, and move the robot."""
