@@ -6,8 +6,12 @@ from contextlib import suppress
 
 from support.harness import PATIENCE
 from zarm_contract.errors import Unavailable
+from zarm_contract.key import Query
 from zarm_contract.messages import Nothing
+from zarm_contract.roles import EVERYONE
 from zarm_runtime.bus import Bus
+
+_NOBODYS = Query("planner/nothing", Nothing, Nothing, "Nobody answers.", by=EVERYONE).of_robot("nobody")
 
 
 def declared(bus: Bus) -> None:
@@ -16,4 +20,4 @@ def declared(bus: Bus) -> None:
     The query must have the same priority as data: liveliness queries overtake publications.
     """
     with suppress(Unavailable):
-        bus.read("zarm/nobody/nothing", Nothing, timeout=PATIENCE)
+        bus.call(_NOBODYS, Nothing(), timeout=PATIENCE)

@@ -11,6 +11,7 @@ from support.harness import PATIENCE, ServiceProcess, eventually
 from support.planner.client import HOME, KEYS, ROBOT
 from support.planner.second_opinion import Collisions, link_pose
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, PlanningFailed, Unavailable
+from zarm_contract.key import Latched
 from zarm_contract.messages import (
     AddObjects,
     AttachObject,
@@ -38,6 +39,7 @@ SWUNG = (1.2, *HOME[1:])
 
 TIP = link_pose(ROBOT, ROBOT.descriptor.tip_link, HOME)
 X, Y, Z = TIP[:3, 3].tolist()
+POLE_KEY = Latched("scene/object/pole", Capsule, "The pole.", of="planner").of_robot(KEYS.robot)
 POLE = Capsule(kind="capsule", name="pole", position=(X, Y, Z - 0.25), radius=0.02, length=0.3)
 """Hangs down from the tip at HOME."""
 
@@ -159,11 +161,11 @@ def test_a_carried_object_is_no_object_of_the_scene_until_it_is_put_down(planner
     )
     assert (carried[0].objects, carried[0].attached[0].object.name) == ((), "pole")
     with pytest.raises(Unavailable):
-        planner.read(KEYS.scene_object("pole"), timeout=PATIENCE)
+        planner.read(POLE_KEY, timeout=PATIENCE)
     with pytest.raises(InvalidRequest, match="detach it first"):
         edit(planner, AddObjects(op="add", objects=(POLE,)))
     assert edit(planner, DetachObject(op="detach", name="pole", joints=HOME)).count == 1
-    put_down = planner.read(KEYS.scene_object("pole"), timeout=PATIENCE)
+    put_down = planner.read(POLE_KEY, timeout=PATIENCE)
     np.testing.assert_allclose(put_down.position, POLE.position, atol=1e-9)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from support.harness import eventually
 from support.trajectories import KEYS, ROBOT
+from zarm_contract.key import Query
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
     CancelRequest,
@@ -65,7 +66,7 @@ class Client:
     def cancel(self, goal_id: str | None = None) -> ExecutorState:
         return self.bus.call(self.keys.cancel, CancelRequest(goal_id=goal_id), timeout=10)
 
-    def command(self, key: str) -> ExecutorState:
+    def command(self, key: Query[Nothing, ExecutorState]) -> ExecutorState:
         return self.bus.call(key, Nothing(), timeout=10)
 
     def strategy(self, name: str | None = None) -> Strategies:

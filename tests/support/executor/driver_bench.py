@@ -16,6 +16,7 @@ from support.arrivals import arrival
 from support.executor.waves import chunk
 from support.harness import eventually
 from support.trajectories import HOME, KEYS, ROBOT, moved, rest_to_rest
+from zarm_contract.key import Published
 from zarm_contract.messages import DriverCommand, DriverProgress, GoalState, JointState, Trajectory
 from zarm_contract.robot import RobotDescription, StrategyParams
 from zarm_executor.goal import Chunk, Goal
@@ -80,14 +81,14 @@ class Wire:
     def __init__(self, bench: DriverBench) -> None:
         self.bench = bench
 
-    def publisher(self, _key: str, _model: object, *, realtime: bool) -> Wire:
-        assert realtime
+    def publisher(self, key: Published[DriverCommand]) -> Wire:
+        assert key.realtime
         return self
 
     def put(self, command: DriverCommand) -> None:
         self.bench.commands.append((self.bench.now, command))
 
-    def latest(self, key: str, _model: object) -> Told:
+    def latest(self, key: str) -> Told:
         return self.bench.joint_states if key == KEYS.driver_joint_states else self.bench.progress
 
 

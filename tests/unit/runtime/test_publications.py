@@ -18,6 +18,7 @@ from support.network.link import link
 from zarm_contract import messages as m
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InternalError, Problem
+from zarm_contract.key import Topic
 from zarm_contract.keys import Keys
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import listens_at, router_config, run_router
@@ -270,19 +271,20 @@ def test_a_subscriber_that_fails_is_logged_and_gets_the_next_message(
 def test_a_deletion_on_the_bus_is_no_message(plain: zenoh.Session, other: Bus) -> None:
     """Its payload is empty, which would read as an empty request."""
     inbox: queue.SimpleQueue[m.CancelRequest] = queue.SimpleQueue()
-    other.subscribe(KEYS.cancel, lambda _, message: inbox.put(message))
-    latest = other.latest(KEYS.cancel)
+    news = Topic("news", m.CancelRequest, "News.", by=("operator",)).of_robot(KEYS.robot)
+    other.subscribe(news, lambda _, message: inbox.put(message))
+    latest = other.latest(news)
     declared(other)
     request = m.CancelRequest(goal_id="goal-1")
     with ThreadPoolExecutor(1) as pool:
         waiting = pool.submit(latest.wait, PATIENCE)
         for _ in range(100):
-            plain.delete(KEYS.cancel)
-        plain.put(KEYS.cancel, encode(request))
+            plain.delete(news)
+        plain.put(news, encode(request))
         assert inbox.get(timeout=PATIENCE) == request
 
         def over() -> bool:
-            plain.put(KEYS.cancel, encode(request))
+            plain.put(news, encode(request))
             return waiting.done()
 
         eventually(over, "the wait is over")

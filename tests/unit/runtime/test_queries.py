@@ -28,6 +28,7 @@ from zarm_contract.errors import (
     Unavailable,
     from_problem,
 )
+from zarm_contract.key import Query
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Message
 from zarm_runtime.bus import Bus
@@ -135,7 +136,11 @@ def test_an_answer_that_cannot_be_read_is_a_fault_of_zarm(bus: Bus, other: Bus) 
 def test_a_request_that_cannot_be_read_is_refused_with_its_field(bus: Bus, other: Bus) -> None:
     serve(bus, lambda _: ANSWER)
     with pytest.raises(InvalidRequest) as refusal:
-        other.call(KEYS.fk, m.CancelPlan(request_id="request-1"), timeout=PATIENCE)
+        other.call(
+            Query(KEYS.fk.path, m.CancelPlan, m.FkPoses, "Other.", by=()),
+            m.CancelPlan(request_id="1"),
+            timeout=PATIENCE,
+        )
     assert refusal.value.problem.field == "joints"
 
 
@@ -144,7 +149,7 @@ def test_a_request_over_the_limit_is_refused(bus: Bus, other: Bus) -> None:
     declared(bus)
     names = ("n" * 64,) * (MAX_BYTES // 64)
     with pytest.raises(InvalidRequest) as refusal:
-        other.call(KEYS.scene_edit, m.RemoveObjects(op="remove", names=names), timeout=PATIENCE)
+        other.call(KEYS.scene_edit, m.SceneEdit(edit=m.RemoveObjects(op="remove", names=names)), timeout=PATIENCE)
     assert refusal.value.problem.field == "payload"
 
 
@@ -209,9 +214,12 @@ def test_a_request_without_an_encoding_is_served(bus: Bus, plain: zenoh.Session)
 
 
 def test_a_query_without_a_payload_is_an_empty_request(bus: Bus, plain: zenoh.Session) -> None:
-    bus.serve(KEYS.check, lambda request: m.CancelledPlan(was_running=request == m.CheckRequest()))
+    state, other = (
+        m.ExecutorState(mode=mode, strategy="emulator", speed_scale=1.0, missed_ticks=0) for mode in ("idle", "fault")
+    )
+    bus.serve(KEYS.cancel, lambda request: state if request == m.CancelRequest() else other)
     declared(bus)
-    assert reply_to(plain, KEYS.check) == [encode(m.CancelledPlan(was_running=True))]
+    assert reply_to(plain, KEYS.cancel) == [encode(state)]
 
 
 def test_a_refusal_is_a_problem_for_any_client(bus: Bus, plain: zenoh.Session) -> None:
@@ -335,9 +343,10 @@ def test_a_client_that_leaves_or_dies_is_told_of(bus: Bus, endpoint: str, signum
     bus.watch_clients(gone.append)
     script = f"""
 from zarm_runtime.bus import Bus
-from zarm_contract.messages import FkPoses, FkRequest
+from zarm_contract.keys import Keys
+from zarm_contract.messages import FkRequest
 with Bus({endpoint!r}) as bus:
-    bus.call({KEYS.fk!r}, FkRequest(joints=((0.1, 0.2),)), FkPoses, timeout={PATIENCE})
+    bus.call(Keys({KEYS.robot!r}).fk, FkRequest(joints=((0.1, 0.2),)), timeout={PATIENCE})
 """
     client = subprocess.Popen([sys.executable, "-c", script])
     try:
