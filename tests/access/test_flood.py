@@ -16,7 +16,7 @@ from support.network.two_hosts import PORT, Host, obstacle
 from support.network.wire import wire
 from support.paths import PROGRAMS, ROOT
 from zarm_contract.keys import Keys
-from zarm_contract.messages import Nothing
+from zarm_contract.messages import ExecutorState, Nothing
 from zarm_runtime.bus import Bus
 
 pytestmark = pytest.mark.slow
@@ -45,7 +45,8 @@ def test_a_stop_gets_through_while_a_flood_keeps_newcomers_out(secured: Path, tm
         Bus(endpoint, role="executor") as executor,
         Bus(endpoint, role="viewer") as viewer,
     ):
-        executor.serve(KEYS.stop, lambda _: Nothing())
+        state = ExecutorState(mode="idle", strategy="emulator", speed_scale=1.0, missed_ticks=0)
+        executor.serve(KEYS.stop, lambda _: state)
         flood = subprocess.Popen([sys.executable, FLOOD, *endpoint.removeprefix("tcp/").split(":")])
         try:
             eventually(lambda: not joins(endpoint, secured), "newcomers are kept out")

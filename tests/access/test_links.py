@@ -11,11 +11,12 @@ from support.command_line import Router
 from support.harness import eventually, free_endpoint
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
-from zarm_contract.messages import Nothing
+from zarm_contract.messages import ExecutorState, Nothing
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
 
 KEYS = Keys("some_robot")
+IDLE = ExecutorState(mode="idle", strategy="emulator", speed_scale=1.0, missed_ticks=0)
 
 
 def test_rights_hold_across_linked_routers(secured: Path, tmp_path: Path) -> None:
@@ -28,7 +29,7 @@ def test_rights_hold_across_linked_routers(secured: Path, tmp_path: Path) -> Non
         Bus(near, role="operator") as operator,
         open_client(near, role="viewer") as viewer,
     ):
-        executor.serve(KEYS.pause, lambda _: Nothing())
+        executor.serve(KEYS.pause, lambda _: IDLE)
         executor.declare_alive(KEYS.alive("executor", "one"))
 
         def paused() -> bool:
@@ -58,7 +59,7 @@ def test_behind_a_router_with_the_certificate_of_a_viewer_everyone_is_a_viewer(s
         zenoh.open(config("client", behind)) as client,
     ):
         for key in (KEYS.pause, KEYS.stop):
-            executor.serve(key, lambda _: Nothing())
+            executor.serve(key, lambda _: IDLE)
         eventually(lambda: answered(client, KEYS.stop), "the robot is stopped through it")
         assert not answered(client, KEYS.pause)
 

@@ -128,7 +128,7 @@ def measure(
 ) -> Result:
     """One line of the table."""
     goals: dict[str, GoalState] = {}
-    bus.subscribe("zarm/*/executor/goal/*", GoalState, lambda _, goal: goals.update({goal.goal_id: goal}))
+    bus.subscribe(Keys.goal("*"), lambda _, goal: goals.update({goal.goal_id: goal}))
     names = ("executor", "planner", "router")
     hear()
     told: dict[str, Array] = {}

@@ -13,7 +13,6 @@ from support.planner.client import BEHIND_FENCE, FENCE, HOME, KEYS, to_joints
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import (
     AddObjects,
-    Plan,
     PlanRequest,
     SceneEdit,
 )
@@ -29,7 +28,7 @@ def test_a_client_whose_planner_is_killed_during_its_plan_gets_unavailable_long_
         request = PlanRequest(goal=to_joints(*BEHIND_FENCE), start=HOME, timeout=60.0)
         with Bus(endpoint) as other:
             before = psutil.Process(planner.process.pid).cpu_times().user
-            answer = client.submit(other.call, KEYS.plan, request, Plan, timeout=600.0)
+            answer = client.submit(other.call, KEYS.plan, request, timeout=600.0)
             eventually(
                 lambda: psutil.Process(planner.process.pid).cpu_times().user > before + 0.3, "the planner is searching"
             )

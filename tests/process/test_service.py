@@ -18,6 +18,7 @@ from support.harness import PATIENCE, ServiceProcess, eventually, free_endpoint,
 from support.paths import PROGRAMS
 from support.tiers import sampled
 from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.key import Token
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, Nothing
 from zarm_contract.robot import load_robot
@@ -236,7 +237,7 @@ def test_an_owner_stays_the_only_one_when_another_was_about_to_claim(endpoint: s
         first = service(first_bus, pendulum, "bbbb")
 
         class LateBus(Bus):
-            def declare_alive(self, key: str) -> None:
+            def declare_alive(self, key: Token) -> None:
                 first.claim()
                 super().declare_alive(key)
 

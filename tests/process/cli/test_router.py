@@ -12,7 +12,7 @@ from support.command_line import Router, the_one_line, zarm
 from support.harness import eventually, free_endpoint
 from support.paths import ROOT
 from zarm_contract.keys import Keys
-from zarm_contract.messages import Nothing
+from zarm_contract.messages import SceneEdited
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import router_config
 
@@ -24,9 +24,9 @@ def reaches(one: str, other: str) -> bool:
     """Whether a message sent at one router arrives at the other within a short while."""
     arrived: Queue[str] = Queue()
     with Bus(one) as sender, Bus(other) as receiver:
-        receiver.subscribe(KEYS.stop, lambda key, _: arrived.put(key))
-        publisher = sender.publisher(KEYS.stop)
-        return bool(eventually(lambda: publisher.put(Nothing()) or not arrived.empty(), "the message arrives"))
+        receiver.subscribe(KEYS.scene_revision, lambda key, _: arrived.put(key))
+        publisher, message = sender.publisher(KEYS.scene_revision), SceneEdited(revision="1-5be0c1d2f3a4", count=0)
+        return bool(eventually(lambda: publisher.put(message) or not arrived.empty(), "the message arrives"))
 
 
 @pytest.mark.parametrize("arguments", [(), ("--config", str(FILE))], ids=["zarm's settings", "deploy/router.json5"])

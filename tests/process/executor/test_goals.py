@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +13,9 @@ from support.harness import PATIENCE, ServiceProcess, eventually
 from support.tiers import sampled
 from support.trajectories import HOME, KEYS, ROBOT, descriptor_at, moved, rest_to_rest
 from zarm_contract.errors import Busy, Cancelled, InvalidRequest, Unavailable, ZarmError
+from zarm_contract.key import Query
 from zarm_contract.keys import Keys
-from zarm_contract.messages import ExecuteRequest, GoalState, SpeedRequest, Trajectory
+from zarm_contract.messages import ExecuteRequest, ExecutorState, GoalState, SpeedRequest, Trajectory
 from zarm_executor.reporter import FINISHED_GOALS
 from zarm_executor.service import JOINT_STATES_PERIOD
 from zarm_runtime.bus import Bus
@@ -74,7 +76,7 @@ def test_it_works_at_the_control_rate_of_the_descriptor(endpoint: str, bus: Bus,
 
 
 @pytest.mark.parametrize("key", sampled(KEYS.cancel, KEYS.stop))
-def test_cancel_and_stop_end_the_goal_at_rest_on_its_path(shared: Client, key: str) -> None:
+def test_cancel_and_stop_end_the_goal_at_rest_on_its_path(shared: Client, key: Query[Any, ExecutorState]) -> None:
     goal_id = shared.execute(FAR)
     shared.under_way(goal_id)
     assert shared.command(key).mode == "stopping"

@@ -16,17 +16,22 @@ from zarm_contract.errors import (
     InvalidRequest,
     Unavailable,
 )
+from zarm_contract.key import Query
 from zarm_contract.messages import (
     JointState,
     SceneEdited,
     Trajectory,
 )
-from zarm_runtime.bus import Bus, Latched
+from zarm_contract.roles import EVERYONE
+from zarm_runtime.bus import Bus, LatchedPublisher
 
 SHORT = rest_to_rest(moved(0.01))
 
 
-def tell_scene(bus: Bus, revision: str = SCENE) -> Latched[SceneEdited]:
+ONLY_READ = Query("planner/plans", Nothing, Plan, "The last plan.", by=EVERYONE, readable=True).of_robot(KEYS.robot)
+
+
+def tell_scene(bus: Bus, revision: str = SCENE) -> LatchedPublisher[SceneEdited]:
     """What the planner says of its scene; keep it."""
     scene = bus.latched(KEYS.scene_revision)
     scene.set(SceneEdited(revision=revision, count=0))
@@ -67,7 +72,7 @@ def test_the_plan_that_the_planner_holds_runs_before_its_publication_arrives(
 ) -> None:
     tell_scene(bus)
     held = [plan("first", rest_to_rest(moved(0.02)))]
-    bus.serve(KEYS.plans, lambda _: held[-1])  # nothing is ever published
+    bus.serve(ONLY_READ, lambda _: held[-1])  # nothing is ever published
     with ServiceProcess("executor", endpoint, tmp_path) as process:
         process.wait_ready(bus, KEYS)
         client = Client(bus)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from zarm_contract.messages import (
     ExecutorState,
     GoalState,
     JointState,
-    Nothing,
     SpeedRequest,
     Strategies,
     StrategyRequest,
@@ -66,8 +66,8 @@ class Client:
     def cancel(self, goal_id: str | None = None) -> ExecutorState:
         return self.bus.call(self.keys.cancel, CancelRequest(goal_id=goal_id), timeout=10)
 
-    def command(self, key: Query[Nothing, ExecutorState]) -> ExecutorState:
-        return self.bus.call(key, Nothing(), timeout=10)
+    def command(self, key: Query[Any, ExecutorState]) -> ExecutorState:
+        return self.bus.call(key, key.request(), timeout=10)
 
     def strategy(self, name: str | None = None) -> Strategies:
         return self.bus.call(self.keys.strategy, StrategyRequest(strategy=name), timeout=20)

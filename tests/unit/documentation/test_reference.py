@@ -13,7 +13,7 @@ from typing import get_args
 import pytest
 
 from zarm_contract.errors import Code
-from zarm_contract.keys import Keys
+from zarm_contract.keys import declared
 from zarm_runtime.settings import SETTINGS
 
 ROOT = Path(__file__).parents[3]
@@ -42,11 +42,7 @@ def test_the_pages_are_those_of_the_code(generate: ModuleType) -> None:
 
 
 def test_every_key_is_on_its_page_once() -> None:
-    keys = Keys("arm")
-    every = {getattr(keys, name) for name, value in vars(Keys).items() if isinstance(value, property)}
-    every |= {keys.scene_object("<name>"), keys.object_pose("<name>"), keys.goal("<goal_id>")}
-    every |= {keys.health("<service>"), keys.reread("<service>"), keys.alive("<service>", "<instance>")}
-    assert sorted(f"zarm/arm/{key}" for key in _first_column("keys.md")) == sorted(every)
+    assert sorted(_first_column("keys.md")) == sorted(key.path for key in declared().values())
 
 
 def test_every_problem_code_is_on_its_page_once() -> None:

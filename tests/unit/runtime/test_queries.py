@@ -137,7 +137,7 @@ def test_a_request_that_cannot_be_read_is_refused_with_its_field(bus: Bus, other
     serve(bus, lambda _: ANSWER)
     with pytest.raises(InvalidRequest) as refusal:
         other.call(
-            Query(KEYS.fk.path, m.CancelPlan, m.FkPoses, "Other.", by=()),
+            Query("planner/fk", m.CancelPlan, m.FkPoses, "Another request.", by=()).of_robot(KEYS.robot),
             m.CancelPlan(request_id="1"),
             timeout=PATIENCE,
         )
