@@ -19,6 +19,8 @@ from zarm_contract.errors import (
 from zarm_contract.key import Query
 from zarm_contract.messages import (
     JointState,
+    Nothing,
+    Plan,
     SceneEdited,
     Trajectory,
 )
