@@ -45,10 +45,12 @@ from zarm_contract.robot import (
     StrategyParams,
 )
 from zarm_contract.roles import EVERYONE, SERVICE_ROLES
+from zarm_executor.transitions import MODES, TRANSITIONS
 from zarm_runtime.settings import SETTINGS
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = ROOT / "docs" / "reference"
+PART, END = "<!-- Made from the code by docs/generate.py: -->", "<!-- Until here. -->"
 NOTE = "<!-- Made from the code by docs/generate.py: do not edit. -->"
 
 
@@ -480,11 +482,46 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]
         yield from ("| " + " | ".join(heads) + " |", "|---" * len(heads) + "|", *lines, "")
 
 
+def parts() -> dict[Path, str]:
+    """The text of every page that has a generated part, between two comments."""
+    made = {ROOT / "services/executor/README.md": mode_diagram(), ROOT / "docs/explanation/execution.md": mode_table()}
+    return {page: _with_part(page.read_text(), part) for page, part in made.items()}
+
+
+def _with_part(page: str, part: Iterable[str]) -> str:
+    before, rest = page.split(PART, 1)
+    return f"{before}{PART}\n" + "\n".join(part).rstrip() + f"\n{END}" + rest.split(END, 1)[1]
+
+
+def mode_diagram() -> Iterator[str]:
+    """The modes of the executor as a diagram."""
+    yield from ("", "```mermaid", "stateDiagram-v2", "    [*] --> idle")
+    for before, after, causes in TRANSITIONS:
+        yield f"    {before} --> {after}: {', '.join(causes)}"
+    yield from ("```", "")
+
+
+def mode_table() -> Iterator[str]:
+    """The modes of the executor as a table."""
+    yield ""
+    rows = (
+        (
+            f"`{mode}`",
+            meaning,
+            "<br>".join(f"`{arrow.after}`: {', '.join(arrow.causes)}" for arrow in TRANSITIONS if arrow.before == mode),
+        )
+        for mode, meaning in MODES.items()
+    )
+    yield from _table(("mode", "meaning", "left for"), rows)
+
+
 def main() -> None:
     """Write every page."""
     REFERENCE.mkdir(exist_ok=True)
     for name, text in pages().items():
         (REFERENCE / name).write_text(text)
+    for page, text in parts().items():
+        page.write_text(text)
 
 
 if __name__ == "__main__":

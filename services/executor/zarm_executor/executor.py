@@ -86,8 +86,16 @@ class Executor:
                 )  # the robot may have taken a while to come to rest
             trajectory = startable(trajectory, self._admission.joint_state(), time.monotonic(), self._robot)
             monitor = Monitor(trajectory, self._robot.descriptor)
-            goal = Goal(goal_id, chosen.plan_id, trajectory, monitor, scene, verified=chosen.scene_revision)
-            goal.replan, goal.tip = request.replan, chosen.tip
+            goal = Goal(
+                goal_id,
+                chosen.plan_id,
+                trajectory,
+                monitor,
+                scene,
+                verified=chosen.scene_revision,
+                replan=request.replan,
+                tip=chosen.tip,
+            )
             turn.start(goal)
         RateBounds.of(
             trajectory, RateLimits.of(self._robot.descriptor)

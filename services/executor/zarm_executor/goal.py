@@ -1,46 +1,18 @@
-"""One goal, from acceptance to its end."""
+"""A goal: what the robot is asked to do."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from zarm_contract.errors import ExecutionFailed, Problem
-from zarm_contract.messages import GoalState, GoalStatus, GoalTrajectory, Hold, Pose, SceneRevision
-from zarm_contract.robot import FaultPolicy
-from zarm_executor.monitor import Monitor, NotStopped
+from zarm_contract.errors import Problem
+from zarm_contract.messages import GoalState, GoalTrajectory, Pose, SceneRevision
+from zarm_executor.monitor import Monitor
+from zarm_executor.states import Accepted, State, hold_of, outcome_of, status_of
 from zarm_executor.strategies.base import Progress
 from zarm_trajectory.trajectory import TimedTrajectory
 
 _SHOWN_PAST = 0.5
 """How much (s) of a stream's past is published with every chunk: a robot that lags behind is there."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a goal ends. After a robot `fault` nothing moves until the fault is left; a `latched` fault can only be left
-    by `reset`.
-    """
-
-    status: GoalStatus
-    problem: Problem | None = None
-    fault: bool = False
-    latched: bool = False
-
-    @classmethod
-    def fault_of(cls, failures: Sequence[ExecutionFailed], policy: FaultPolicy) -> Outcome:
-        """The outcome of failed checks during motion or in the control loop, in order; its problem says how to leave
-        the fault.
-        """
-        latched = policy == "latch" or any(isinstance(failure, NotStopped) for failure in failures)
-        found = "; and ".join(failure.problem.message for failure in failures)
-        way_out = (
-            ", then reset (executor/reset)"
-            if latched
-            else "; the next goal leaves this fault, once the robot rests and reports its joints"
-        )
-        problem = failures[0].problem.model_copy(update={"message": found + way_out})
-        return cls("aborted", problem, fault=True, latched=latched)
 
 
 @dataclass(frozen=True)
@@ -60,15 +32,14 @@ class Chunk:
     scene: SceneRevision | None = None
 
 
-@dataclass
+@dataclass(frozen=True)
 class Goal:
     """A motion along `trajectory`; for a stream, `chunk` is the newest one.
 
     `scene` is the scene revision in which the goal began, or in which the newest chunk of a stream arrived; None if
     none was known. `verified` is the revision in which the trajectory was verified, or None; `number` counts its
     trajectories. If `replan` is set, the servo may replace the trajectory, also by one to other joints if the goal is
-    the pose `tip`. `hold` says why the goal is held without having been paused, since `hold_since`; it `waits` once the
-    robot is at rest. `outcome` is set once it is certain that, and how, the goal ends. `elapsed` counts s in motion.
+    the pose `tip`. `monitor` watches the motion.
     """
 
     goal_id: str
@@ -76,47 +47,39 @@ class Goal:
     trajectory: TimedTrajectory
     monitor: Monitor
     scene: SceneRevision | None = None
-    status: GoalStatus = "accepted"
-    elapsed: float = 0.0
-    pausing: bool = False
-    outcome: Outcome | None = None
     chunk: Chunk | None = None
-    held_until: float = 0.0
     verified: SceneRevision | None = None
     number: int = 1
     replan: bool = False
     tip: Pose | None = None
-    hold: Hold | None = None
-    hold_since: float = 0.0
-    waits: bool = False
-
-    @property
-    def moving(self) -> bool:
-        """Whether the goal is to go on: its end is not certain yet, and it is not held."""
-        return self.outcome is None and not self.pausing and self.hold is None
 
     @property
     def complete(self) -> bool:
         """Whether the trajectory ends at the goal, rather than where the robot waits for the next chunk."""
         return self.chunk is None or self.chunk.last
 
-    def steer(self, trajectory: TimedTrajectory, chunk: Chunk) -> None:
-        """Continue along `trajectory`, which leads to `chunk`."""
-        self.trajectory, self.chunk, self.scene = trajectory, chunk, chunk.scene
-        self.number += 1
+    def steered(self, trajectory: TimedTrajectory, chunk: Chunk) -> Goal:
+        """The goal that continues along `trajectory`, which leads to `chunk`."""
         self.monitor.steer(trajectory)
+        return replace(self, trajectory=trajectory, chunk=chunk, scene=chunk.scene, number=self.number + 1)
 
-    def replace(self, trajectory: TimedTrajectory, verified: SceneRevision) -> None:
-        """Continue along `trajectory`, which was verified in that scene."""
-        self.trajectory, self.scene, self.verified = trajectory, verified, verified
-        self.number += 1
-        self.monitor.steer(trajectory)
+    def replaced(self, trajectory: TimedTrajectory, verified: SceneRevision, monitor: Monitor | None = None) -> Goal:
+        """The goal that continues along `trajectory`, which was verified in that scene, watched by `monitor` or as
+        before.
+        """
+        monitor = monitor or self.monitor
+        monitor.steer(trajectory)
+        return replace(
+            self, trajectory=trajectory, scene=verified, verified=verified, monitor=monitor, number=self.number + 1
+        )
 
-    def late(self, now: float) -> Problem | None:
-        """The problem if the goal must end because its next chunk is late; time does not count while it is held."""
+    def late(self, now: float, held_until: float) -> Problem | None:
+        """The problem if the goal must end because its next chunk is late; the time before `held_until` (s, monotonic)
+        does not count.
+        """
         if self.chunk is None or self.chunk.last:
             return None
-        waited = now - max(self.chunk.received, self.held_until)
+        waited = now - max(self.chunk.received, held_until)
         if waited <= self.chunk.deadline:
             return None
         return Problem(
@@ -125,18 +88,19 @@ class Goal:
             "find out what delayed the client, then start a new stream from where the robot is",
         )
 
-    def state(self, progress: Progress) -> GoalState:
-        """The state published for the goal at this `progress` of the strategy."""
+    def state(self, progress: Progress, state: State, elapsed: float) -> GoalState:
+        """The message on the goal in this `state`, at this `progress` of the strategy, after `elapsed` s in motion."""
+        outcome = outcome_of(state)
         return GoalState(
             goal_id=self.goal_id,
             plan_id=self.plan_id,
-            status=self.status,
+            status=status_of(state),
             progress=min(max(progress.time / self.trajectory.duration, 0.0), 1.0),
-            elapsed=self.elapsed,
+            elapsed=elapsed,
             duration=self.trajectory.duration,
             joint_command=tuple(progress.command.tolist()),
-            problem=self.outcome.problem if self.outcome else None,
-            hold=self.hold,
+            problem=outcome.problem if outcome else None,
+            hold=hold_of(state),
         )
 
     def followed(self, joints: tuple[str, ...]) -> GoalTrajectory:
@@ -159,4 +123,5 @@ class Goal:
 
     def before_motion(self) -> GoalState:
         """The state published while the robot is still at the start."""
-        return self.state(Progress(time=0.0, speed=0.0, command=self.trajectory.start, finished=False))
+        start = Progress(time=0.0, speed=0.0, command=self.trajectory.start, finished=False)
+        return self.state(start, Accepted(), 0.0)

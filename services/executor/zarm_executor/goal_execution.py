@@ -4,12 +4,30 @@ from __future__ import annotations
 
 import logging
 from collections import deque
+from dataclasses import replace
 
 from zarm_contract.errors import Busy, ExecutionFailed, ExecutionRefused, Unavailable
-from zarm_contract.messages import Authority, GoalState, GoalStatus, Hold, RobotMode, SceneRevision
-from zarm_executor.goal import Chunk, Goal, Outcome
+from zarm_contract.messages import Authority, GoalState, Hold, RobotMode, SceneRevision
+from zarm_executor.goal import Chunk, Goal
 from zarm_executor.guard import LEAST_WAY, Guard, Limit, given_up
 from zarm_executor.monitor import Monitor
+from zarm_executor.states import (
+    Accepted,
+    Ended,
+    Ending,
+    Held,
+    Outcome,
+    Paused,
+    Pausing,
+    Running,
+    State,
+    held_of,
+    hold_of,
+    mode_of,
+    outcome_of,
+    status_of,
+    with_held,
+)
 from zarm_executor.strategies.base import Measured, Progress, Steerable, Strategy
 from zarm_trajectory.blending import blended, continued
 from zarm_trajectory.limits import Limits
@@ -30,8 +48,10 @@ class GoalExecution:
         self.goal = goal
         self._strategy = strategy
         self._guard = guard
+        self._state: State = Accepted()
+        self._elapsed = 0.0
+        self._held_until = 0.0
         self._limit: Limit | None = None
-        self._held_at = 0.0
         self._speed_scale = 1.0
         self._changes = changes
         self._seen = True
@@ -58,9 +78,8 @@ class GoalExecution:
 
     def end(self, outcome: Outcome) -> None:
         """Bring the robot to rest, and then end the goal with this outcome."""
-        self.goal.outcome = outcome
         self._strategy.stop()
-        self._become("stopping")
+        self._enter(Ending(outcome, held_of(self._state)))
 
     def fail(self, failure: ExecutionFailed) -> None:
         """Bring the robot to rest, and then end the goal in a fault."""
@@ -69,8 +88,9 @@ class GoalExecution:
 
     def pause(self) -> None:
         """Bring the robot to rest and hold it; no effect on a goal that is ending."""
-        if self.goal.outcome is None:
-            self.goal.pausing = True
+        if self.outcome is None:
+            if not isinstance(self._state, Paused):
+                self._enter(Pausing(held_of(self._state)))
             self._strategy.stop()
 
     def resume(self, speed_scale: float, scene: SceneRevision | None, now: float) -> None:
@@ -80,24 +100,24 @@ class GoalExecution:
         checked the rest of it in that scene.
         """
         goal = self.goal
-        if goal.outcome is None and goal.pausing:
+        if isinstance(self._state, Pausing | Paused):
             if goal.scene != scene and not self._guard.checked(goal.goal_id, scene, now):
                 raise ExecutionRefused(
                     f"the scene is not the one that {goal.goal_id} started in (revision {goal.scene}, now {scene}), so "
                     "the rest of it may collide; it stays paused: cancel it, and plan again from where the robot is",
                     code="stale_plan",
                 )
-            goal.pausing, goal.hold_since = False, now
+            held = self._state.held
             goal.monitor.go_on()
             self._speed_scale = speed_scale
-            self._become("running")
-            if goal.hold is None and not self._blocked(now):
+            self._enter(Running() if held is None else replace(held, since=now))
+            if held is None and not self._blocked(now):
                 self._strategy.move(speed_scale)
 
     def set_speed(self, speed_scale: float) -> None:
         """Move at this share of the planned speed, unless the goal is held or ending."""
         self._speed_scale = speed_scale
-        if self.goal.moving:
+        if self._moving:
             self._strategy.move(speed_scale)
 
     def steer(self, chunk: Chunk, limits: Limits) -> None:
@@ -106,10 +126,10 @@ class GoalExecution:
         Raises what `blended` raises.
         """
         goal = self.goal
-        if goal.outcome is None and not goal.complete:
+        if self.outcome is None and not goal.complete:
             strategy = self._steerable()
             trajectory = blended(goal.trajectory, strategy.commanded(), chunk.trajectory, chunk.start, limits)
-            goal.steer(trajectory, chunk)
+            self.goal = goal.steered(trajectory, chunk)
             strategy.steer(trajectory)
 
     def replace(
@@ -133,7 +153,7 @@ class GoalExecution:
                 code="start_state_mismatch",
             )
         joined = continued(self.goal.trajectory, strategy.commanded(), trajectory, at)
-        self.goal.replace(joined, verified)
+        self.goal = self.goal.replaced(joined, verified)
         strategy.steer(joined)
         self._go_on(at, until)
 
@@ -148,22 +168,21 @@ class GoalExecution:
         Raises Busy if the robot is not at rest in this way, and what the strategy raises.
         """
         self._demand_no_end()
-        goal, time = self.goal, self._strategy.progress().time
-        if goal.hold is None or not goal.waits:
+        held, time = self._state, self._strategy.progress().time
+        if not isinstance(held, Held) or not held.at_rest:
             raise Busy(
-                f"{goal.goal_id} is not waiting at rest for an obstruction to clear; say from when on to replace its trajectory"
+                f"{self.goal.goal_id} is not waiting at rest for an obstruction to clear; say from when on to replace its trajectory"
             )
         self._strategy.admit()
         trajectory = trajectory.begun_at(time)
         self._strategy.start(trajectory, self._speed_scale)
-        goal.monitor = monitor
-        goal.replace(trajectory, verified)
-        if goal.hold.reason == "no_guard":
+        self.goal = self.goal.replaced(trajectory, verified, monitor)
+        if held.hold.reason == "no_guard":
             self._strategy.stop()
         self._go_on(time, until)
 
     def _demand_no_end(self) -> None:
-        if self.goal.outcome is not None or self.goal.pausing:
+        if isinstance(self._state, Pausing | Paused | Ending | Ended):
             raise Busy(f"{self.goal.goal_id} is ending or pausing, so its trajectory cannot be replaced")
 
     def _go_on(self, begin: float, until: float | None) -> None:
@@ -172,8 +191,8 @@ class GoalExecution:
         """
         goal = self.goal
         self._limit = self._guard.limit(goal.trajectory, None if until is None else begin + until)
-        if goal.hold is not None and goal.hold.reason == "obstruction":
-            goal.hold, goal.waits = None, False
+        if isinstance(self._state, Held) and self._state.hold.reason == "obstruction":
+            self._state = Running()
             goal.monitor.go_on()
             self._strategy.move(self._speed_scale)
         log.info("the goal has a new trajectory goal_id=%s number=%d", goal.goal_id, goal.number)
@@ -191,14 +210,27 @@ class GoalExecution:
 
     def state(self) -> GoalState:
         """The goal's current state."""
-        return self.goal.state(self._strategy.progress())
+        return self.goal.state(self._strategy.progress(), self._state, self._elapsed)
 
     @property
     def mode(self) -> RobotMode:
         """The robot mode that follows from the goal."""
-        if self.goal.outcome is None and self.goal.status == "paused":
-            return "paused"
-        return "stopping" if self.goal.outcome or self.goal.pausing else "running"
+        return mode_of(self._state)
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """How the goal ends, once that is certain."""
+        return outcome_of(self._state)
+
+    @property
+    def _moving(self) -> bool:
+        return isinstance(self._state, Accepted | Running)
+
+    def _enter(self, state: State) -> None:
+        """Change the state, and publish it if it looks different."""
+        before, self._state = self._state, state
+        if status_of(before) != status_of(state) or hold_of(before) is not hold_of(state):
+            self._note()
 
     # -- the control loop --
 
@@ -208,16 +240,17 @@ class GoalExecution:
         `guarded`: a servo watches it.
         """
         goal, progress, measured = self.goal, self._strategy.progress(), self._strategy.joint_state()
-        if goal.status != "paused" and not goal.waits:
-            goal.elapsed += dt
-        if goal.status == "accepted":
-            self._become("running")
+        held = held_of(self._state)
+        if not isinstance(self._state, Paused) and (held is None or not held.at_rest):
+            self._elapsed += dt
+        if isinstance(self._state, Accepted):
+            self._enter(Running())
         try:
-            if goal.outcome is None:
+            if self.outcome is None:
                 self._see(goal.monitor.follow(now, dt, progress, measured))
                 self._obey(now, progress, guarded=guarded)
-            if goal.moving:
-                late = goal.late(now)
+            if self._moving:
+                late = goal.late(now, self._held_until)
                 if late is not None:
                     self.end(Outcome("aborted", late))
                 elif self._seen and goal.complete:
@@ -227,12 +260,14 @@ class GoalExecution:
                     if missed is not None:
                         return self._finish(Outcome("aborted", missed))
             else:
-                goal.held_until = now
+                self._held_until = now
         except ExecutionFailed as failure:
             self.fail(failure)
-        if goal.moving or goal.status == "paused" or (goal.waits and goal.outcome is None and not goal.pausing):
-            return None
-        return self._come_to_rest(now, progress, measured)
+        match self._state:
+            case Accepted() | Running() | Paused() | Held(at_rest=True):
+                return None
+            case _:
+                return self._come_to_rest(now, progress, measured)
 
     def _see(self, seen: bool) -> None:
         """Note whether the robot's joints are reported, and log when that changes."""
@@ -248,77 +283,74 @@ class GoalExecution:
                 return None
         except ExecutionFailed as failure:
             self.fail(failure)  # the time allowed for stopping is over; the strategy keeps commanding the stop
-        if self.goal.outcome is not None:
-            return self._finish(self.goal.outcome)
-        if self.goal.pausing:
-            self._become("paused")
-        else:
-            self.goal.waits = True
+        match self._state:
+            case Ending(outcome, _):
+                return self._finish(outcome)
+            case Pausing(held):
+                self._enter(Paused(held))
+            case Held():
+                self._state = replace(self._state, at_rest=True)
         return None
 
     def _obey(self, now: float, progress: Progress, *, guarded: bool) -> None:
         """Brake at the end of the authority or without a required servo; continue when that is over, or give up after a
         while.
         """
-        goal = self.goal
-        if goal.hold is None:
+        goal, held = self.goal, held_of(self._state)
+        if held is None:
             if not guarded and self._guard.required:
-                self._hold(Hold(reason="no_guard"), now)
-            elif goal.moving and not progress.finished:
+                self._hold(Hold(reason="no_guard"), now, progress.time)
+            elif self._moving and not progress.finished:
                 self._brake_in_time(now)
-        elif self._free(progress, guarded=guarded):
-            goal.hold, goal.waits = None, False
+        elif self._free(held, progress, guarded=guarded):
             log.info("the goal continues goal_id=%s", goal.goal_id)
-            if goal.moving:
+            if isinstance(self._state, Held):
                 goal.monitor.go_on()
                 if not progress.finished:
                     if self._blocked(now):
                         return
                     self._strategy.move(self._speed_scale)
-            self._note()
-        elif not goal.pausing and now - goal.hold_since > self._guard.patience:
-            self.end(Outcome("aborted", given_up(goal.hold, self._guard.patience)))
+            self._enter(with_held(self._state, None))
+        elif isinstance(self._state, Held) and now - held.since > self._guard.patience:
+            self.end(Outcome("aborted", given_up(held.hold, self._guard.patience)))
         else:
-            self._say_what_is_in_the_way(goal.hold)
+            self._say_what_is_in_the_way(held)
 
-    def _say_what_is_in_the_way(self, hold: Hold) -> None:
+    def _say_what_is_in_the_way(self, held: Held) -> None:
         """Update the hold if another obstacle is now in the way."""
-        before, found = hold.obstruction, None if self._limit is None else self._limit.obstruction
+        before, found = held.hold.obstruction, None if self._limit is None else self._limit.obstruction
         if before is not None and found is not None and (before.object, before.link) != (found.object, found.link):
-            self.goal.hold = hold.model_copy(update={"obstruction": found})
-            self._note()
+            hold = held.hold.model_copy(update={"obstruction": found})
+            self._enter(with_held(self._state, replace(held, hold=hold)))
 
     def _brake_in_time(self, now: float) -> None:
         limit = self._limit
         if limit is not None:
             state = self._strategy.braking_from()
             if self._guard.must_brake(limit, state):
-                self._held_at = limit.until
-                self._hold(limit.hold(state), now)
+                self._hold(limit.hold(state), now, limit.until)
 
     def _blocked(self, now: float) -> bool:
         """Hold a goal at rest whose authority ends here; returns whether it does."""
         limit, time = self._limit, self._strategy.braking_from().time
         blocked = limit is not None and limit.until < time + LEAST_WAY
         if limit is not None and blocked:
-            self._held_at = time
-            self._hold(limit.hold(PathState(time, 0.0)), now)
+            self._hold(limit.hold(PathState(time, 0.0)), now, time)
         return blocked
 
-    def _free(self, progress: Progress, *, guarded: bool) -> bool:
+    def _free(self, held: Held, progress: Progress, *, guarded: bool) -> bool:
         """Whether the reason for the hold is gone."""
         if not guarded and self._guard.required:
             return False
-        if self.goal.hold is not None and self.goal.hold.reason == "no_guard":
+        if held.hold.reason == "no_guard":
             return True
-        further = self._limit is None or self._limit.until >= self._held_at + LEAST_WAY
+        further = self._limit is None or self._limit.until >= held.at + LEAST_WAY
         return further or (progress.finished and progress.at_rest)
 
-    def _hold(self, hold: Hold, now: float) -> None:
+    def _hold(self, hold: Hold, now: float, at: float) -> None:
         goal, found = self.goal, hold.obstruction
-        goal.hold, goal.hold_since, goal.waits = hold, now, False
         self._strategy.stop()
-        self._note()
+        self._enter(with_held(self._state, Held(hold, now, at)))
         if found is None:
             log.warning("the goal is held goal_id=%s reason=%s", goal.goal_id, hold.reason)
         else:
@@ -332,14 +364,8 @@ class GoalExecution:
             )
 
     def _finish(self, outcome: Outcome) -> Outcome:
-        self.goal.outcome = outcome
-        self._become(outcome.status)
+        self._enter(Ended(outcome))
         return outcome
-
-    def _become(self, status: GoalStatus) -> None:
-        if self.goal.status != status:
-            self.goal.status = status
-            self._note()
 
     def _note(self) -> None:
         self._changes.append(self.state())

@@ -1,14 +1,6 @@
 """The state machine that owns the robot: who may move it, one goal at a time.
 
-mode      idle -> running -> idle                      a goal that succeeds, or that the robot misses but comes to rest
-          running -> stopping -> paused -> running     pause and resume
-          running | paused -> stopping -> idle         cancel, stop, another goal that preempts this one, a switch of
-                                                       strategy, the end of the process
-          running          -> stopping -> idle         a stream whose client is late or sends an impossible chunk
-          running | paused -> stopping -> fault        a check during motion failed, or the robot could not be stopped;
-                                                       `reset` leads back to idle
-          fault            -> running                  a goal, if the descriptor's `faults` is `clear_at_rest`, the robot
-                                                       is at rest and reports its joints, and it stopped when told to
+`transitions.py` holds the modes, and what leads from one to another; `states.py` the states of a goal.
 
 The machine knows neither bus nor clock nor files: commands come from any thread, `tick` from the control loop, and changes
 wait in `changes` until they are published.
@@ -26,10 +18,11 @@ from collections import deque
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, ExecutionRefused, Problem, Unavailable
 from zarm_contract.messages import Authority, ExecutorState, GoalState, RobotMode, SceneRevision
 from zarm_executor.command_order import CommandOrder
-from zarm_executor.goal import Chunk, Goal, Outcome
+from zarm_executor.goal import Chunk, Goal
 from zarm_executor.goal_execution import GoalExecution
 from zarm_executor.guard import Guard
 from zarm_executor.monitor import Monitor
+from zarm_executor.states import Outcome
 from zarm_executor.strategies.base import Measured, Strategy
 from zarm_executor.switching import ActiveStrategy
 from zarm_executor.tick_clock import TickClock
@@ -59,7 +52,7 @@ class Machine:
         self._speed_scale = speed_scale
         self._motion: GoalExecution | None = None
         self._problem: Problem | None = None
-        self._faulty: Goal | None = None  # the goal that ended in the current fault
+        self._faulty: GoalExecution | None = None  # the goal that ended in the current fault
         self._switching = False
         self._ending = False
         self._lock = threading.RLock()
@@ -113,10 +106,10 @@ class Machine:
 
     def _can_leave_fault(self) -> bool:
         """Whether the next goal may leave the present fault."""
-        goal, strategy = self._faulty, self._strategy
-        if goal is None or goal.outcome is None or goal.outcome.latched:
+        faulty, strategy = self._faulty, self._strategy
+        if faulty is None or faulty.outcome is None or faulty.outcome.latched:
             return False
-        return goal.monitor.rests(self._clock.now, strategy.progress(), strategy.joint_state())
+        return faulty.goal.monitor.rests(self._clock.now, strategy.progress(), strategy.joint_state())
 
     def _leave_fault(self) -> None:
         self._problem = self._faulty = None
@@ -238,7 +231,7 @@ class Machine:
 
     def _end(self, goal_id: str | None, outcome: Outcome) -> None:
         motion = self._motion_of(goal_id)
-        if motion is not None and motion.goal.outcome is None:
+        if motion is not None and motion.outcome is None:
             motion.end(outcome)
 
     def _motion_of(self, goal_id: str | None) -> GoalExecution | None:
@@ -417,14 +410,14 @@ class Machine:
             if motion is not None:
                 ended = motion.advance(now, dt, guarded=self._guarded)
                 if ended is not None:
-                    self._rest(motion.goal, ended)
+                    self._rest(motion, ended)
             self._ticked.notify_all()
             return self._strategy.joint_state()
 
-    def _rest(self, goal: Goal, ended: Outcome) -> None:
+    def _rest(self, motion: GoalExecution, ended: Outcome) -> None:
         self._motion = None
         if ended.fault:
-            self._problem, self._faulty = ended.problem, goal
+            self._problem, self._faulty = ended.problem, motion
         self._rested.notify_all()
 
 

@@ -38,6 +38,7 @@ def generate() -> Iterator[ModuleType]:
 def test_the_pages_are_those_of_the_code(generate: ModuleType) -> None:
     made = generate.pages()
     outdated = [name for name, text in made.items() if (REFERENCE / name).read_text() != text]
+    outdated += [str(page) for page, text in generate.parts().items() if page.read_text() != text]
     assert outdated == [], "run python docs/generate.py"
 
 

@@ -103,8 +103,10 @@ def test_a_new_trajectory_is_followed_only_as_far_as_it_was_checked_until_the_se
     trajectory = bench.execute(scene=SCENE)
     bench.run(0.3)
     at = bench.arm.follower.time + 0.1
-    goal = bench.machine.replace("goal-1", 1, from_state(trajectory.at(at)), SCENE, at, until=1.0)
+    bench.machine.replace("goal-1", 1, from_state(trajectory.at(at)), SCENE, at, until=1.0)
     bench.run(4.0)
+    goal = bench.machine.goal_state()
+    assert goal is not None
     assert goal.hold is not None
     assert bench.arm.follower.settled
     assert bench.arm.follower.time < at + 1.0
