@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from zarm_contract.messages import RobotMode
 
-
 MODES: Mapping[RobotMode, str] = {
     "idle": "The robot rests; nothing is active.",
     "running": "A goal moves the robot, or is held by the servo's authority.",
@@ -34,13 +33,14 @@ TRANSITIONS = (
     Transition("idle", "running", ("execute", "first chunk of a stream")),
     Transition("running", "idle", ("at the goal", "at rest beside it")),
     Transition("running", "stopping", ("pause", *_ENDS, "violation", "late or impossible chunk", "held too long")),
-    Transition("running", "fault", ("violation at rest",)),
+    Transition("running", "fault", ("violation while the robot rests",)),
     Transition("stopping", "running", ("resume, while braking for a pause",)),
     Transition("stopping", "paused", ("at rest after a pause",)),
     Transition("stopping", "idle", ("at rest, without a violation",)),
     Transition("stopping", "fault", ("at rest after a violation", "not at rest in time")),
     Transition("paused", "running", ("resume",)),
     Transition("paused", "stopping", (*_ENDS, "violation")),
+    Transition("paused", "fault", ("violation while the robot rests",)),
     Transition("idle", "fault", ("no strategy can be opened",)),
     Transition("fault", "idle", ("reset",)),
     Transition("fault", "running", ("execute, where faults clear at rest",)),
