@@ -405,7 +405,7 @@ def python() -> Iterator[str]:
     for name, function in own.items():
         if inspect.isfunction(function):
             yield from _described(f"zarm.{name}", function)
-    for name in ("Robot", "Scene", "Tracking", "Jogging", "Stream", "Story"):
+    for name in ("Robot", "PlanOptions", "Scene", "Tracking", "Jogging", "Stream", "Story"):
         yield from (f"## {name}", "", *_docstring(own[name]))
         for method, member in sorted(inspect.getmembers(own[name]), key=_place):
             if not method.startswith("_") and (inspect.isfunction(member) or isinstance(member, property)):

@@ -22,6 +22,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from zarm.connection import CONNECT_SECONDS, connected, robots
+from zarm.planner import PlanOptions
 from zarm.record_story import Story
 from zarm.replaying import replay, story
 from zarm.robot import Robot
@@ -99,6 +100,7 @@ __all__ = [
     "Mesh",
     "PathConstraint",
     "Plan",
+    "PlanOptions",
     "PlannerSettings",
     "PlanningFailed",
     "PointCloud",

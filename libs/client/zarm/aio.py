@@ -25,8 +25,8 @@ import zarm.replaying
 import zarm.robot
 import zarm.scene
 from zarm.connection import CONNECT_SECONDS, Connection
+from zarm.executor import OnProgress
 from zarm.interrupts import Interruption, started
-from zarm.motion import OnProgress
 from zarm.record_story import Story
 from zarm_contract.messages import ExecuteRequest, GoalState, Plan, Trajectory
 from zarm_contract.roles import Role

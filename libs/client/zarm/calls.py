@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 from zarm.connection import ANSWER_SECONDS, Connection
@@ -30,3 +32,18 @@ class Calls:
 
     def _ask(self, key: Query[Request, Reply], request: Request, *, timeout: float = ANSWER_SECONDS) -> Reply:
         return self.connection.ask(key, request, timeout=timeout)
+
+    @contextmanager
+    def _until_left(self) -> Iterator[None]:
+        """A block that insists on rest; leaving it earlier gives an explanation of the consequences."""
+        try:
+            with self.connection.interrupts.insist(f"the executor of {self.name} to bring the robot to rest"):
+                yield
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(self._unknown()) from None
+
+    def _unknown(self) -> str:
+        return (
+            f"interrupted: the executor of {self.name} has not answered, and the state of the robot is unknown: make sure that "
+            "it stands still, then see `zarm status`"
+        )

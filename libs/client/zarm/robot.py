@@ -1,60 +1,93 @@
-"""One robot: plans, kinematics, motion and its live state."""
+"""One robot: its planner, executor, servo and scene, and the short form of each of their methods."""
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
 
-from zarm.closed_loop import ClosedLoop
+from zarm.calls import Calls
 from zarm.connection import ANSWER_SECONDS, Connection
-from zarm.kinematics import Kinematics
-from zarm.planning import Planning
+from zarm.executor import Executor
+from zarm.planner import Planner
 from zarm.scene import Scene
+from zarm.servo import Servo
 from zarm.values import Pose
-from zarm_contract.errors import ExecutionRefused
-from zarm_contract.messages import ExecutorState, Health, JointState, Nothing
+from zarm_contract.messages import Health, Nothing
 
 if TYPE_CHECKING:
     from zarm.recording import Recorder
 
-_MEASURED_SECONDS = 2.0
+P = ParamSpec("P")
+S = TypeVar("S")
+T = TypeVar("T")
 
 
-class Robot(Planning, Kinematics, ClosedLoop):
+def _short(part: Callable[[Robot], S], method: Callable[Concatenate[S, P], T]) -> Callable[Concatenate[Robot, P], T]:
+    """The short form of a method of one part of a robot."""
+
+    @wraps(method)
+    def call(robot: Robot, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        return method(part(robot), *args, **kwargs)
+
+    return call
+
+
+def _planner(robot: Robot) -> Planner:
+    return robot.planner
+
+
+def _executor(robot: Robot) -> Executor:
+    return robot.executor
+
+
+def _servo(robot: Robot) -> Servo:
+    return robot.servo
+
+
+class Robot(Calls):
     """One robot on the bus; `zarm.connect` makes it.
 
-    Joint vectors follow the order of `joints` in the robot's descriptor. Poses are those of its tip in its base frame.
-    Every method raises a `zarm.Error`: the problem that the service answers, or Unavailable if none answers.
-    Thread-safe; Ctrl-C interrupts only the main thread.
+    `planner`, `executor`, `servo` and `scene` have the calls of each service; `robot.plan` is short for
+    `robot.planner.plan`, and so on. Joint vectors follow the order of `joints` in the robot's descriptor. Poses are those
+    of its tip in its base frame. Every method raises a `zarm.Error`: the problem that the service answers, or Unavailable
+    if none answers. Thread-safe; Ctrl-C interrupts only the main thread.
     """
 
     def __init__(self, connection: Connection) -> None:
         super().__init__(connection)
+        self.planner = Planner(connection)
+        self.executor = Executor(connection)
+        self.servo = Servo(connection)
         self.scene = Scene(connection)
 
-    def state(self) -> ExecutorState:
-        """The present state of the executor."""
-        return self.connection.read(self._keys.executor_state)
-
-    def states(self) -> Generator[ExecutorState]:
-        """The present state of the executor, then every change; endless."""
-        return self.connection.latched(self._keys.executor_state)
-
-    def joint_state(self) -> JointState:
-        """The next measured joint state (rad, rad/s). Raises ExecutionRefused (`no_joint_state`) if none arrives."""
-        state = self.connection.next(self._keys.joint_states, _MEASURED_SECONDS)
-        if state is None:
-            raise ExecutionRefused(
-                f"no joint state of {self.name} came within {_MEASURED_SECONDS:g} s; `zarm status` shows whether its executor "
-                "runs and with which strategy",
-                code="no_joint_state",
-            )
-        return state
-
-    def joint_states(self) -> Generator[JointState]:
-        """Measured joint states (rad, rad/s), endless; a loop that is slower gets the newest."""
-        return self.connection.published(self._keys.joint_states)
+    plan = _short(_planner, Planner.plan)
+    request_plan = _short(_planner, Planner.request_plan)
+    cancel_plan = _short(_planner, Planner.cancel_plan)
+    settings = _short(_planner, Planner.settings)
+    fk = _short(_planner, Planner.fk)
+    ik = _short(_planner, Planner.ik)
+    request_ik = _short(_planner, Planner.request_ik)
+    check = _short(_planner, Planner.check)
+    execute = _short(_executor, Executor.execute)
+    start = _short(_executor, Executor.start)
+    follow = _short(_executor, Executor.follow)
+    goal_states = _short(_executor, Executor.goal_states)
+    cancel = _short(_executor, Executor.cancel)
+    stop = _short(_executor, Executor.stop)
+    pause = _short(_executor, Executor.pause)
+    resume = _short(_executor, Executor.resume)
+    reset = _short(_executor, Executor.reset)
+    speed = _short(_executor, Executor.speed)
+    strategy = _short(_executor, Executor.strategy)
+    stream = _short(_executor, Executor.stream)
+    state = _short(_executor, Executor.state)
+    states = _short(_executor, Executor.states)
+    joint_state = _short(_executor, Executor.joint_state)
+    joint_states = _short(_executor, Executor.joint_states)
+    track = _short(_servo, Servo.track)
+    jog = _short(_servo, Servo.jog)
 
     def tip(self) -> Pose:
         """The present pose of the tip."""

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from zarm.motion import REST_SECONDS
+from zarm.executor import REST_SECONDS
 from zarm.robot import Robot
 from zarm_cli.client import AsJson, Connect, Name, connected, message
 from zarm_cli.output import SCENE_CHANGED, err, facts, held_by, out, print_json, reached, share_text

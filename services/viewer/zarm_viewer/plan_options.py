@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, cast
 
-from zarm.planning import Settings
+from zarm.planner import Settings
 from zarm.values import AXES, Axis, PathConstraint
 from zarm_contract.messages import PlannerSettings
 from zarm_viewer.controls import put

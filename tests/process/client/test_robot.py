@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 import itertools
 import os
 import signal
@@ -19,6 +20,9 @@ import zarm
 import zarm.aio
 from support.command_line import HOME, ROBOT, pid
 from support.harness import PATIENCE, eventually, free_endpoint
+from zarm.executor import Executor
+from zarm.planner import Planner
+from zarm.servo import Servo
 from zarm_contract.messages import MAX_POINTS, GoalState
 from zarm_runtime.bus import Bus
 
@@ -386,3 +390,9 @@ def test_the_largest_cloud_goes_through_with_every_digit(robot: zarm.Robot) -> N
     found = robot.scene.objects()["seen"]
     assert isinstance(found, zarm.Voxels)
     assert {tuple(cell) for cell in found.cells} == {tuple(cell) for cell in cells.tolist()}
+
+
+@pytest.mark.parametrize("part", [Planner, Executor, Servo])
+def test_every_method_of_a_part_has_a_short_form_on_the_robot(part: type) -> None:
+    methods = {name for name, _ in inspect.getmembers(part, inspect.isfunction) if not name.startswith("_")}
+    assert methods <= {name for name, _ in inspect.getmembers(zarm.Robot, inspect.isfunction)}

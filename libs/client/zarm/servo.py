@@ -1,4 +1,4 @@
-"""Closed-loop motion of a robot: streams of trajectories, and live targets that the servo follows."""
+"""The servo of a robot: live targets that the robot follows."""
 
 from __future__ import annotations
 
@@ -6,47 +6,20 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, TypeVar
 
+from zarm.calls import Calls
 from zarm.connection import Connection
-from zarm.motion import Motion
 from zarm.values import made
-from zarm_contract.errors import ZarmError, from_problem
+from zarm_contract.errors import ZarmError
 from zarm_contract.messages import ServoStart
 
 if TYPE_CHECKING:
     from zarm.servoing import Jogging, Tracking
-    from zarm.streaming import Stream
 
 S = TypeVar("S", "Jogging", "Tracking")
 
 
-class ClosedLoop(Motion):
-    """Blocks in which a program steers the robot; leaving one stops the robot."""
-
-    @contextmanager
-    def stream(self, *, deadline: float = 0.2) -> Iterator[Stream]:
-        """A stream of short trajectories for closed-loop control, each replacing the rest of the one before.
-
-        ```python
-        with robot.stream() as stream:
-            while stream.running and not done:
-                stream.send(trajectory_from(stream.time))
-        ```
-
-        The next one must be sent within `deadline` s (at most 1); otherwise the robot brakes and DeadlineExceeded is raised.
-        Leaving the block waits until the robot rests: at the end of a trajectory sent as the `last`, or by braking at once.
-        """
-        from zarm.streaming import Stream
-
-        stream = Stream(self.connection, deadline)
-        try:
-            yield stream
-        except BaseException:
-            self._rest(stream.goal_id)
-            raise
-        if stream.open:
-            self._rest(stream.goal_id)
-        elif (end := stream.end()) is not None and end.problem is not None:
-            raise from_problem(end.problem)
+class Servo(Calls):
+    """Sessions in which a program steers the robot; leaving one brings the robot to rest."""
 
     @contextmanager
     def track(

@@ -1,20 +1,22 @@
-"""Motion of a robot: goals for its executor, and how they are stopped."""
+"""The executor of a robot: goals, streams, commands that stop or slow them, and the state of the robot."""
 
 from __future__ import annotations
 
 import secrets
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
 
 from zarm.calls import Calls
 from zarm.connection import ANSWER_SECONDS
 from zarm.values import made
-from zarm_contract.errors import Unavailable, from_problem
+from zarm_contract.errors import ExecutionRefused, Unavailable, from_problem
 from zarm_contract.messages import (
     CancelRequest,
     ExecuteRequest,
     ExecutorState,
     GoalState,
+    JointState,
     Nothing,
     Plan,
     SpeedRequest,
@@ -23,15 +25,20 @@ from zarm_contract.messages import (
     Trajectory,
 )
 
+if TYPE_CHECKING:
+    from zarm.streaming import Stream
+
 REST_SECONDS = 30.0
 """Longest wait (s) for the robot to come to rest, including what must end first."""
+
+_MEASURED_SECONDS = 2.0
 
 OnProgress = Callable[[GoalState], object]
 """Called with each state of a goal that differs from the previous one."""
 
 
-class Motion(Calls):
-    """Goals, and commands that stop, pause or slow whatever moves the robot."""
+class Executor(Calls):
+    """Goals and streams, commands that stop, pause or slow whatever moves the robot, and its state."""
 
     def execute(
         self,
@@ -137,6 +144,55 @@ class Motion(Calls):
         return self._ask(self._keys.strategy, made(StrategyRequest, strategy=name), timeout=REST_SECONDS)
 
     @contextmanager
+    def stream(self, *, deadline: float = 0.2) -> Iterator[Stream]:
+        """A stream of short trajectories for closed-loop control, each replacing the rest of the one before.
+
+        ```python
+        with robot.stream() as stream:
+            while stream.running and not done:
+                stream.send(trajectory_from(stream.time))
+        ```
+
+        The next one must be sent within `deadline` s (at most 1); otherwise the robot brakes and DeadlineExceeded is raised.
+        Leaving the block waits until the robot rests: at the end of a trajectory sent as the `last`, or by braking at once.
+        """
+        from zarm.streaming import Stream
+
+        stream = Stream(self.connection, deadline)
+        try:
+            yield stream
+        except BaseException:
+            self._rest(stream.goal_id)
+            raise
+        if stream.open:
+            self._rest(stream.goal_id)
+        elif (end := stream.end()) is not None and end.problem is not None:
+            raise from_problem(end.problem)
+
+    def state(self) -> ExecutorState:
+        """The present state of the executor."""
+        return self.connection.read(self._keys.executor_state)
+
+    def states(self) -> Generator[ExecutorState]:
+        """The present state of the executor, then every change; endless."""
+        return self.connection.latched(self._keys.executor_state)
+
+    def joint_state(self) -> JointState:
+        """The next measured joint state (rad, rad/s). Raises ExecutionRefused (`no_joint_state`) if none arrives."""
+        state = self.connection.next(self._keys.joint_states, _MEASURED_SECONDS)
+        if state is None:
+            raise ExecutionRefused(
+                f"no joint state of {self.name} came within {_MEASURED_SECONDS:g} s; `zarm status` shows whether its executor "
+                "runs and with which strategy",
+                code="no_joint_state",
+            )
+        return state
+
+    def joint_states(self) -> Generator[JointState]:
+        """Measured joint states (rad, rad/s), endless; a loop that is slower gets the newest."""
+        return self.connection.published(self._keys.joint_states)
+
+    @contextmanager
     def _new_goal(self, goal_id: str | None = None) -> Iterator[str]:
         """The id of a new goal; an interruption in the block brings the robot to rest, and reports its state."""
         goal_id = goal_id or f"goal-{secrets.token_hex(8)}"
@@ -191,21 +247,6 @@ class Motion(Calls):
                 return "cancelled: the goal is withdrawn, and the robot has not moved for it"
             last = self.follow(goal_id, timeout=REST_SECONDS)
             return f"{last.status}: the robot stands still at {last.progress:.0%} of the motion"
-
-    @contextmanager
-    def _until_left(self) -> Iterator[None]:
-        """A block that insists on rest; leaving it earlier gives an explanation of the consequences."""
-        try:
-            with self.connection.interrupts.insist(f"the executor of {self.name} to bring the robot to rest"):
-                yield
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(self._unknown()) from None
-
-    def _unknown(self) -> str:
-        return (
-            f"interrupted: the executor of {self.name} has not answered, and the state of the robot is unknown: make sure that "
-            "it stands still, then see `zarm status`"
-        )
 
 
 def _execution(what: Plan | Trajectory | ExecuteRequest | str | None) -> ExecuteRequest:

@@ -1,0 +1,106 @@
+"""The planner of a robot: goals into verified motions, their default options, and kinematics."""
+
+from __future__ import annotations
+
+import secrets
+from contextlib import suppress
+from typing import TYPE_CHECKING, TypedDict, Unpack
+
+from zarm.connection import ANSWER_SECONDS
+from zarm.kinematics import Kinematics
+from zarm.values import Goal, goal_of, joints_of, made
+from zarm_contract.errors import Unavailable
+from zarm_contract.messages import (
+    CancelPlan,
+    PathConstraint,
+    Plan,
+    PlannerKind,
+    PlannerSettings,
+    PlanRequest,
+    SettingsChange,
+    StartState,
+)
+
+if TYPE_CHECKING:
+    from zarm.values import Numbers
+
+LONGEST_PLANNING = 60.0
+"""s, the planner's maximum."""
+
+
+class Settings(TypedDict, total=False):
+    """Default options of plans; `PlanOptions` explains each."""
+
+    planner: PlannerKind | None
+    timeout: float | None
+    max_attempts: int | None
+    optimize_s: float | None
+    velocity_scale: float | None
+    acceleration_scale: float | None
+    margin: float | None
+
+
+class PlanOptions(Settings, total=False):
+    """Options of one plan. Those that are left out, or None, come from the planner's `settings`.
+
+    `start` is a list of joint positions (rad), by default the measured ones, or a `zarm.StartState` in motion, from
+    which the plan continues in position, velocity and acceleration. `path_constraint` holds axes of the tip. `planner`
+    names the planner. `timeout` (s) is the deadline, and `max_attempts` the number of searches after which the planner
+    gives up earlier. For `optimize_s` s after the first motion is found, the planner looks for faster ones. The scales
+    (above 0, up to 1) are fractions of the joint limits. `margin` (m) is the distance to objects on the way, and
+    `self_margin` (m) the distance between the robot's own links, by default the descriptor's. With `optimize_s` 0, the
+    same request, `seed` (default: 0) and scene give the same motion.
+    """
+
+    start: Numbers | StartState | None
+    path_constraint: PathConstraint | None
+    self_margin: float | None
+    seed: int
+
+
+class Planner(Kinematics):
+    """Plans, their default options, and kinematics."""
+
+    def plan(self, goal: Goal, **options: Unpack[PlanOptions]) -> Plan:
+        """A verified motion to a `zarm.Pose`, to joint positions (rad), to one of several poses (`zarm.AnyOf`), or
+        through `zarm.Waypoints`. Nothing moves.
+
+        `options` are `start`, `path_constraint`, `planner`, `timeout`, `max_attempts`, `optimize_s`, `velocity_scale`,
+        `acceleration_scale`, `margin`, `self_margin` and `seed`: see `zarm.PlanOptions`.
+
+        Ctrl-C ends the planning. Raises PlanningFailed, DeadlineExceeded or InvalidRequest.
+        """
+        return self.request_plan(plan_request(goal, **options))
+
+    def request_plan(self, request: PlanRequest) -> Plan:
+        """`plan` with a message; it gets a new `request_id` if it has none."""
+        named = request.model_copy(update={"request_id": request.request_id or f"plan-{secrets.token_hex(8)}"})
+        timeout = (request.timeout or LONGEST_PLANNING) + ANSWER_SECONDS
+        try:
+            return self._ask(self._keys.plan, named, timeout=timeout)
+        except KeyboardInterrupt:
+            with suppress(Unavailable):
+                self.cancel_plan(named.request_id or "")
+            raise
+
+    def cancel_plan(self, request_id: str, *, timeout: float = ANSWER_SECONDS) -> bool:
+        """Cancel a planning request by its `request_id`, even before it arrives. Returns whether it was running."""
+        request = CancelPlan(request_id=request_id)
+        return self._ask(self._keys.plan_cancel, request, timeout=timeout).was_running
+
+    def settings(self, /, **changes: Unpack[Settings]) -> PlannerSettings:
+        """Default options of plans, after these changes: `settings(margin=0.01)`."""
+        if not changes:
+            return self.connection.read(self._keys.settings)
+        return self._ask(self._keys.settings, made(SettingsChange, **changes))
+
+
+def plan_request(goal: Goal, **options: Unpack[PlanOptions]) -> PlanRequest:
+    """The request for a plan with these options. Raises InvalidRequest that names the field at fault."""
+    fields: dict[str, object] = {**options}
+    start = options.get("start")
+    if isinstance(start, StartState):
+        fields.update(start=None, start_state=start)
+    else:
+        fields["start"] = joints_of(start, "start")
+    return made(PlanRequest, goal=goal_of(goal), **fields)
