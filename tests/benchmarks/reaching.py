@@ -41,7 +41,7 @@ from zarm_servo.targets import JointTarget, PoseTarget, rotation_vector
 Array = NDArray[np.float64]
 
 SECONDS = 20.0
-ROOM = 0.0005
+KEPT_MARGIN = 0.0005
 """Targets keep so much more (m) than the margin, which steps keep 0.3 mm of."""
 REACHED = 0.001, 0.01
 """m, rad."""
@@ -62,7 +62,7 @@ class Site:
 
     def keeps(self, objects: Sequence[SceneObject], q: Array) -> bool:
         """Whether a configuration (J,) keeps the margin to these objects and to itself."""
-        scene, least = ExactScene(self.model, World(objects, 0.0)), self.margin + ROOM
+        scene, least = ExactScene(self.model, World(objects, 0.0)), self.margin + KEPT_MARGIN
         return not scene.too_near(q[None], 0.0, least, least) and scene.nearest(q[None]).distance > 0.0
 
 

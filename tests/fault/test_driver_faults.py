@@ -51,10 +51,10 @@ def test_a_driver_that_dies_leads_to_a_fault_and_a_new_one_does_not_move_by_itse
 
 @pytest.mark.slow
 def test_a_driver_that_plays_late_is_stopped(robot: Driven) -> None:
-    robot.suffer(DriverFault(delay=1.5))
+    robot.set_fault(DriverFault(delay=1.5))
     robot.client.execute(THERE)
     robot.fault("tolerance_violated" if robot.strategy == STREAMED else "driver_stalled")
-    robot.suffer(DriverFault())
+    robot.set_fault(DriverFault())
     seen = len(robot.told)
     eventually(lambda: len(robot.told) > seen + 300, "what was under way, the stop last, has been played")
     assert np.max(np.abs(robot.at_rest() - FAR)) > 0.05
@@ -75,7 +75,7 @@ def test_an_executor_that_comes_back_stops_the_driver_that_still_plays(robot: Dr
 
 @pytest.mark.parametrize("robot", [STREAMED], indirect=True)
 def test_some_lost_chunks_do_no_harm(robot: Driven) -> None:
-    robot.suffer(DriverFault(drop=0.2))
+    robot.set_fault(DriverFault(drop=0.2))
     assert robot.client.ended(robot.client.execute(THERE)).status == "succeeded"
     np.testing.assert_allclose(robot.at_rest(), FAR, atol=0.005)
 

@@ -132,19 +132,19 @@ def second_executor(place: Arena) -> Iterator[str | None]:
 
 def driver_silent(place: Arena) -> Iterator[str | None]:
     yield place.go()
-    place.suffer(MUTE)
+    place.set_fault(MUTE)
     yield None
     place.client.mode("fault")
-    place.suffer(SOUND)
+    place.set_fault(SOUND)
     place.all_heard()
 
 
 def silent_for(seconds: float) -> Fault:
     def fault(place: Arena) -> Iterator[str | None]:
         yield place.go()
-        place.suffer(MUTE)
+        place.set_fault(MUTE)
         wait_for(place, place.samples(), seconds)
-        place.suffer(SOUND)
+        place.set_fault(SOUND)
         yield None
 
     return fault
@@ -152,28 +152,28 @@ def silent_for(seconds: float) -> Fault:
 
 def driver_stalls(place: Arena) -> Iterator[str | None]:
     yield place.go()
-    place.suffer(DriverFault(stall=True))
+    place.set_fault(DriverFault(stall=True))
     yield None
     place.client.mode("fault")
-    place.suffer(SOUND)
+    place.set_fault(SOUND)
 
 
 def commands_lost(place: Arena) -> Iterator[str | None]:
     yield place.go()
-    place.suffer(DriverFault(drop=1.0))
+    place.set_fault(DriverFault(drop=1.0))
     if place.strategy == WHOLE:  # it has everything already; what is lost is the stop
         place.client.command(place.keys.stop)
     yield None
     place.client.mode("fault")
-    place.suffer(SOUND)
+    place.set_fault(SOUND)
 
 
 def joints_jump(place: Arena) -> Iterator[str | None]:
     yield place.go()
-    place.suffer(DriverFault(jump=(0.0, 0.0, 0.0, 0.0, 0.0, 0.5)))
+    place.set_fault(DriverFault(jump=(0.0, 0.0, 0.0, 0.0, 0.0, 0.5)))
     yield None
     place.client.mode("fault")
-    place.suffer(DriverFault(jump=(0.0, 0.0, 0.0, 0.0, 0.0, -0.5)))
+    place.set_fault(DriverFault(jump=(0.0, 0.0, 0.0, 0.0, 0.0, -0.5)))
 
 
 # --- joint states that are not those of the robot now ---
@@ -187,10 +187,10 @@ def told_instead(tell: Telling) -> Fault:
     def fault(place: Arena) -> Iterator[str | None]:
         yield place.go()
         with impostor(place, tell):
-            place.suffer(MUTE)
+            place.set_fault(MUTE)
             yield None
             place.client.mode("fault")
-        place.suffer(SOUND)
+        place.set_fault(SOUND)
         place.all_heard()
 
     return fault

@@ -44,7 +44,7 @@ def of(entries: list[Entry], key: str) -> list[bytes]:
 
 
 def test_a_fault_leaves_a_record_of_all_that_led_to_it(moving: Driven) -> None:
-    moving.suffer(DriverFault(stall=True))
+    moving.set_fault(DriverFault(stall=True))
     fault = moving.fault("tolerance_violated")
     path = written(moving)
     assert path.name.endswith("Z_tolerance_violated.mcap")
@@ -76,13 +76,13 @@ def test_a_fault_leaves_a_record_of_all_that_led_to_it(moving: Driven) -> None:
 
 @pytest.mark.slow
 def test_every_fault_has_a_record_of_its_own(moving: Driven) -> None:
-    moving.suffer(DriverFault(stall=True))
+    moving.set_fault(DriverFault(stall=True))
     moving.fault("tolerance_violated")
     written(moving)
-    moving.suffer(DriverFault())
+    moving.set_fault(DriverFault())
     moving.works_again()
     moving.client.under_way(moving.client.execute(SLOWLY))
-    moving.suffer(DriverFault(silent=True))
+    moving.set_fault(DriverFault(silent=True))
     moving.fault("driver_stalled")
     assert written(moving, 2).name.endswith("driver_stalled.mcap")
 
@@ -90,16 +90,16 @@ def test_every_fault_has_a_record_of_its_own(moving: Driven) -> None:
 @pytest.mark.slow
 def test_a_record_that_cannot_be_written_is_a_warning_and_the_executor_goes_on(moving: Driven) -> None:
     (moving.folder / KEYS.robot / "records").write_text("a file where the folder is to be")
-    moving.suffer(DriverFault(stall=True))
+    moving.set_fault(DriverFault(stall=True))
     moving.fault("tolerance_violated")
     eventually(lambda: "no record of the fault" in moving.executor.output(), "the warning is logged")
-    moving.suffer(DriverFault())
+    moving.set_fault(DriverFault())
     moving.works_again()
 
 
 @pytest.mark.slow
 def test_a_fault_is_on_record_even_if_the_executor_is_told_to_end_at_once(moving: Driven) -> None:
-    moving.suffer(DriverFault(stall=True))
+    moving.set_fault(DriverFault(stall=True))
     moving.fault("tolerance_violated")
     moving.executor.process.terminate()
     moving.executor.process.wait()
@@ -111,9 +111,9 @@ def test_a_disk_that_fills_while_the_record_is_written_leaves_no_half_of_it(movi
     pid = moving.executor.process.pid
     _, hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (20_000, hard))
-    moving.suffer(DriverFault(stall=True))
+    moving.set_fault(DriverFault(stall=True))
     moving.fault("tolerance_violated")
     eventually(lambda: "no record of the fault" in moving.executor.output(), "the warning is logged")
     assert list((moving.folder / KEYS.robot / "records").iterdir()) == []
-    moving.suffer(DriverFault())
+    moving.set_fault(DriverFault())
     moving.works_again()

@@ -67,7 +67,7 @@ class Arm:
     def moving(self) -> None:
         eventually(lambda: abs(self.states[-1].velocity[0]) > 0.9 * SPEED[0], "the arm moves")
 
-    def suffer(self, fault: DriverFault) -> None:
+    def set_fault(self, fault: DriverFault) -> None:
         self.bus.call(self.keys.simulated_fault, fault, timeout=10)
 
 
@@ -103,7 +103,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
 @pytest.fixture
 def arm(shared: Arm) -> Arm:
     """The M1013 that plays velocities, in order and at rest, and nothing told of it yet."""
-    shared.suffer(DriverFault())
+    shared.set_fault(DriverFault())
     shared.command(trajectory())
     shared.at_rest()
     shared.progress.clear()
@@ -196,10 +196,10 @@ def test_it_plays_positions_for_a_robot_whose_driver_does_and_tells_no_progress(
 def test_silenced_it_moves_on_and_tells_nothing_until_it_is_in_order_again(arm: Arm) -> None:
     arm.command(trajectory(velocities=[SPEED] * 5000))
     arm.moving()
-    arm.suffer(DriverFault(silent=True))
+    arm.set_fault(DriverFault(silent=True))
     lines = len(arm.trace.read_text().splitlines())
     eventually(lambda: len(arm.trace.read_text().splitlines()) > lines + 100, "the arm has moved on for a second")
-    arm.suffer(DriverFault())
+    arm.set_fault(DriverFault())
     silenced = np.array([state.position[0] for state in arm.states])
     eventually(lambda: len(arm.states) > len(silenced), "it is heard again")
     assert arm.states[len(silenced)].position[0] - silenced[-1] > 90 * 0.01 * SPEED[0]
@@ -210,10 +210,10 @@ def test_stalled_it_stands_and_goes_on_afterwards(arm: Arm) -> None:
     began = arm.at_rest()
     arm.command(trajectory(velocities=[SPEED] * 100))
     arm.moving()
-    arm.suffer(DriverFault(stall=True))
+    arm.set_fault(DriverFault(stall=True))
     stood = arm.at_rest()
     assert stood[0] - began[0] < 100 * 0.02 * SPEED[0] - 0.01
-    arm.suffer(DriverFault())
+    arm.set_fault(DriverFault())
     eventually(lambda: arm.progress[-1] == 1.0, "the last point is told")
     assert arm.at_rest()[0] > stood[0] + 0.01
 
@@ -221,5 +221,5 @@ def test_stalled_it_stands_and_goes_on_afterwards(arm: Arm) -> None:
 def test_it_dies_when_it_is_told_to(node: Node, tmp_path: Path) -> None:
     with driven(node, tmp_path) as arm:
         with suppress(Unavailable):  # it is not there any more to answer
-            arm.suffer(DriverFault(die=True))
+            arm.set_fault(DriverFault(die=True))
         assert arm.driver.process.wait(PATIENCE) == 1

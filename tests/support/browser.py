@@ -12,7 +12,7 @@ from playwright.sync_api import Browser, sync_playwright
 
 CHROMIUM = shutil.which("chromium")
 EYE, LOOK_AT, FIELD = (1.65, -1.0, 1.2), (0.35, 0.15, 0.45), math.radians(75)
-"""The page's initial camera (m, vertical field of view in rad); `zarm_viewer.room` sets the first two, viser the last.
+"""The page's initial camera (m, vertical field of view in rad); `zarm_viewer.kept_margin` sets the first two, viser the last.
 """
 _ARGUMENTS = (
     "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run",

@@ -45,17 +45,17 @@ class Connection:
 
     def ask(self, key: Query[Request, Reply], request: Request, *, timeout: float = ANSWER_SECONDS) -> Reply:
         """The answer to a request within `timeout` s. Raises the service's problem, or Unavailable."""
-        return self.interrupts.attend(lambda: self.bus.call(key, request, timeout=timeout))
+        return self.interrupts.run_interruptibly(lambda: self.bus.call(key, request, timeout=timeout))
 
     def read(self, key: Latched[M], *, timeout: float = ANSWER_SECONDS) -> M:
         """The present value of a key. Raises Unavailable."""
-        return self.interrupts.attend(lambda: self.bus.read(key, timeout=timeout))
+        return self.interrupts.run_interruptibly(lambda: self.bus.read(key, timeout=timeout))
 
     def latched(self, key: Latched[M]) -> Generator[M]:
         """The present value of a key and then each new one."""
 
         def subscribe(tell: Callable[[M], None]) -> Callable[[], None]:
-            return self.interrupts.attend(lambda: self.bus.watch(key, lambda _, value: tell(value)))
+            return self.interrupts.run_interruptibly(lambda: self.bus.watch(key, lambda _, value: tell(value)))
 
         return live(subscribe, self.interrupts, self.bus.check_open)
 
@@ -70,7 +70,7 @@ class Connection:
         newest: Newest[M] = Newest()
         end = self.bus.subscribe(key, lambda _, value: newest.put(value))
         try:
-            return self.interrupts.attend(lambda: newest.take(seconds))
+            return self.interrupts.run_interruptibly(lambda: newest.take(seconds))
         finally:
             end()
 

@@ -215,7 +215,7 @@ class Executor(Calls):
         request = _execution(what)
         flags = {"preempt": preempt or request.preempt, "replan": replan or request.replan}
         request = request.model_copy(update={"goal_id": goal_id, **flags})
-        self.connection.interrupts.attend(self.connection.goals.listen)
+        self.connection.interrupts.run_interruptibly(self.connection.goals.listen)
         try:
             with self.connection.interrupts.insist(f"the executor of {self.name} to take the goal or refuse it"):
                 self._ask(self._keys.execute, request, timeout=timeout)

@@ -53,7 +53,7 @@ class Goals:
 
         Raises Unavailable if the executor has been silent for `silence` s, or the goal has not ended after `timeout` s.
         """
-        interrupts.attend(self.listen)
+        interrupts.run_interruptibly(self.listen)
         seen: GoalState | None = None
         began = heard = asked = time.monotonic()
         while seen is None or not seen.done:
@@ -66,7 +66,7 @@ class Goals:
             elif now - heard > silence:
                 raise self._unknown(f"has reported nothing about the goal {goal_id} for {silence:g} s")
             elif now - max(heard, asked) > _ASK_AFTER:
-                interrupts.attend(lambda: self._ask(goal_id))
+                interrupts.run_interruptibly(lambda: self._ask(goal_id))
                 asked = time.monotonic()
             if timeout is not None and now - began > timeout and not (seen is not None and seen.done):
                 raise self._unknown(f"has not ended the goal {goal_id} within {timeout:g} s")

@@ -17,7 +17,7 @@ SLICE = 0.1
 class Interrupts(Protocol):
     """The source of a client's interruptions, which raise KeyboardInterrupt where a call waits."""
 
-    def attend(self, work: Callable[[], T]) -> T:
+    def run_interruptibly(self, work: Callable[[], T]) -> T:
         """The result or exception of `work`, which blocks. After an interruption its result is lost."""
 
     def check(self) -> None:
@@ -34,7 +34,7 @@ class CtrlC:
     library that might swallow it.
     """
 
-    def attend(self, work: Callable[[], T]) -> T:
+    def run_interruptibly(self, work: Callable[[], T]) -> T:
         """See `Interrupts`."""
         if threading.current_thread() is not threading.main_thread():
             return work()
@@ -63,7 +63,7 @@ class Interruption:
         self._pending = True
         self._changed.set()
 
-    def attend(self, work: Callable[[], T]) -> T:
+    def run_interruptibly(self, work: Callable[[], T]) -> T:
         """See `Interrupts`."""
         future, _ = started(work, self._changed.set)
         while not future.done():

@@ -44,10 +44,10 @@ class _Session:
         self._sequence = 0
         self._state: ServoSession | None = None
         self._publisher = connection.publisher(connection.keys.servo_target)
-        connection.interrupts.attend(connection.goals.listen)
+        connection.interrupts.run_interruptibly(connection.goals.listen)
         started = connection.ask(connection.keys.servo_start, request, timeout=_START_SECONDS)
         self.goal_id = started.goal_id
-        self._unwatch = connection.interrupts.attend(
+        self._unwatch = connection.interrupts.run_interruptibly(
             lambda: connection.bus.watch(connection.keys.servo_state, self._hear)
         )
 
@@ -138,7 +138,7 @@ class Tracking(_Session):
         first = self._sequence + 1
         while time.monotonic() < deadline:
             self.to(goal)
-            self._connection.interrupts.attend(lambda: time.sleep(PERIOD))
+            self._connection.interrupts.run_interruptibly(lambda: time.sleep(PERIOD))
             state = self._state
             if state is None or state is before or state.sequence < first:
                 continue

@@ -26,8 +26,8 @@ class Stream:
         self._newest: StreamChunk | None = None
         self._began = 0.0
         self._publisher = connection.publisher(connection.keys.stream)
-        connection.interrupts.attend(connection.goals.listen)
-        connection.interrupts.attend(self._wait_heard)
+        connection.interrupts.run_interruptibly(connection.goals.listen)
+        connection.interrupts.run_interruptibly(self._wait_heard)
 
     @property
     def time(self) -> float:

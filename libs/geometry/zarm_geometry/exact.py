@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zarm_geometry.kernels.clearance import begin, look
+from zarm_geometry.kernels.clearance_search import Obstacles, RobotParts, search
 from zarm_geometry.kernels.convex import PRECISION
-from zarm_geometry.kernels.course import Obstacles, RobotParts, course
 from zarm_geometry.kernels.motion import MotionBody, Solids, motion_body, solids
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.shapes import Shape, distance, nearest_points, obstacle_shape
@@ -102,7 +102,7 @@ class ExactScene:
         """
         links = len(self.model.links)
         kept, found = (
-            np.minimum(np.repeat((margin, self_margin), (links, len(self._asked) - links)), room(self.model)),
+            np.minimum(np.repeat((margin, self_margin), (links, len(self._asked) - links)), kept_margin(self.model)),
             [],
         )
         for within in np.unique(kept[kept > max(clearance, 0.0)]).tolist():
@@ -145,7 +145,7 @@ class ExactScene:
     @cached_property
     def solids(self) -> tuple[MotionBody, Obstacles, Solids]:
         """The same robot and obstacles for `kernels.nearby`."""
-        return motion_body(self._body, self._asked, room(self.model)), self._obstacles, solids(self._world.rows)
+        return motion_body(self._body, self._asked, kept_margin(self.model)), self._obstacles, solids(self._world.rows)
 
     def bounds(self, q: Array, check: Callable[[], None], asked: NDArray[np.bool_], within: float = FARTHEST) -> Array:
         """Rows (m, 5) of `clearance.look` that include the smallest distance over `q` (n, dof), if it is below `within`
@@ -153,7 +153,7 @@ class ExactScene:
         """
         if not len(q):
             return np.empty((0, 5))
-        motion = course(self._body, q, asked)
+        motion = search(self._body, q, asked)
         found, smallest = begin(
             self._body, self.model.cover, self._obstacles, self._world.arrays.shapes, motion, asked, within
         )
@@ -198,7 +198,7 @@ def subjects(model: RobotModel, body: RobotParts) -> NDArray[np.bool_]:
     return np.concatenate([there & (model.link_joint >= 0), there[model.pairs].all(axis=1)])
 
 
-def room(model: RobotModel) -> Array:
+def kept_margin(model: RobotModel) -> Array:
     """The distance (subjects,) in m that each subject can be required to keep: see `RobotModel.pair_room`."""
     known = dict(zip(map(tuple, model.arrays.pairs.tolist()), model.pair_room, strict=True))
     return np.array([np.inf] * len(model.links) + [known.get(tuple(pair), np.inf) for pair in model.pairs.tolist()])

@@ -12,17 +12,17 @@ from numpy.typing import ArrayLike, NDArray
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import SceneObject, Vector3
 from zarm_geometry import rows
-from zarm_geometry.exact import obstacles, robot_parts, room, subjects
-from zarm_geometry.kernels.course import Obstacles
+from zarm_geometry.exact import kept_margin, obstacles, robot_parts, subjects
+from zarm_geometry.kernels.clearance_search import Obstacles
 from zarm_geometry.kernels.motion import Flags, MotionBody, Movers, Solids, motion_body, solids
-from zarm_geometry.kernels.situation import GRADIENT_THERE, ROOM, Owner, SituationArrays, contact, nearby
+from zarm_geometry.kernels.situation import GRADIENT_THERE, KEPT_MARGIN, Owner, SituationArrays, contact, nearby
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World, convex_shapes
 
 Array = NDArray[np.float64]
 
-_LEAST_ROOM = 0.002
+_LEAST_KEPT = 0.002
 """Two links keep at least this much (m) of a margin, however close they always are."""
 _OVERSHOOT = 1.01
 """Factor by which trajectories may exceed the joints' acceleration limits, as in `zarm_trajectory.limits`."""
@@ -47,14 +47,14 @@ class MotionVerdict:
 class NearPair:
     """A link that is `distance` (m, negative if they overlap) from `object`, a scene object or another link.
 
-    `gradient` (dof,) in m/rad (m/m if prismatic) is its derivative by each joint. Of a margin they can keep `room` (m).
+    `gradient` (dof,) in m/rad (m/m if prismatic) is its derivative by each joint. Of a margin they can keep `kept_margin` (m).
     """
 
     distance: float
     link: str
     object: str
     gradient: Array
-    room: float = np.inf
+    kept_margin: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class MotionRobot:
     def of(cls, model: RobotModel) -> Self:
         """Pack a robot."""
         parts, _ = robot_parts(model)
-        asked, kept = subjects(model, parts), np.maximum(room(model), _LEAST_ROOM)
+        asked, kept = subjects(model, parts), np.maximum(kept_margin(model), _LEAST_KEPT)
         outward = asked & (np.arange(len(asked)) < len(model.links))
         bodies = motion_body(parts, asked, kept), motion_body(parts, outward, kept)
         return cls(model, *bodies, _OVERSHOOT * model.acceleration)
@@ -234,7 +234,9 @@ class Situation:
         if q.shape != (dof,) or not np.isfinite(q).all():
             raise InvalidRequest(f"a configuration needs {dof} finite positions")
         return [
-            NearPair(float(row[0]), *self.named(int(row[1]), int(row[2])), row[GRADIENT_THERE:], float(row[ROOM]))
+            NearPair(
+                float(row[0]), *self.named(int(row[1]), int(row[2])), row[GRADIENT_THERE:], float(row[KEPT_MARGIN])
+            )
             for row in nearby(self.arrays, q, time, within)
         ]
 

@@ -38,7 +38,7 @@ from zarm_runtime.publications import (
 from zarm_runtime.queries import Reply, Request, Served, ask
 from zarm_runtime.quota import Quota
 from zarm_runtime.security import client_role, security_on
-from zarm_runtime.session import DEFAULT_ENDPOINT, open_client, spoken
+from zarm_runtime.session import DEFAULT_ENDPOINT, open_client, resolved_endpoint
 
 __all__ = ["Bus", "LatchedPublisher", "Latest", "Publisher"]
 
@@ -65,7 +65,7 @@ class Bus:
 
     def __init__(self, endpoint: str = DEFAULT_ENDPOINT, *, timeout: float = 5.0, role: Role | None = None) -> None:
         self.role = (role or client_role()) if security_on() else None
-        self.endpoint = spoken(endpoint)
+        self.endpoint = resolved_endpoint(endpoint)
         self.urgent: Callable[[], bool] = lambda: True
         """Whether messages served or subscribed to in order must be noticed within 2 ms now, or within 10 ms, which
         saves CPU.

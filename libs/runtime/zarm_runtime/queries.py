@@ -49,7 +49,7 @@ class Served(Generic[Request, Reply]):
         answered: Callable[[str, str], object],
     ) -> None:
         self._key, self._handler = key, handler
-        self._room, self._answered = room, answered
+        self._quota, self._answered = room, answered
         self._pool = ThreadPoolExecutor(workers, thread_name_prefix=key)
         self._refusing = ThreadPoolExecutor(1, thread_name_prefix=f"{key} refuses")
         self.pools = (self._pool, self._refusing)
@@ -61,12 +61,12 @@ class Served(Generic[Request, Reply]):
                 return
         who = requester_of(query)
         try:
-            self._room.enter(who.client)
+            self._quota.enter(who.client)
         except Busy as busy:
             self._hand_over(self._refusing, self._answer, query, partial(_refuse, busy))
             return
         if not self._hand_over(self._pool, self._handle, query, who, arrival):
-            self._room.leave(who.client)
+            self._quota.leave(who.client)
 
     def _hand_over(self, to: ThreadPoolExecutor, work: Callable[..., None], query: zenoh.Query, *rest: object) -> bool:
         try:
@@ -83,7 +83,7 @@ class Served(Generic[Request, Reply]):
             with on_behalf_of(who):
                 self._answer(query, lambda: self._handler(_request(query, self._key), arrival))
         finally:
-            self._room.leave(who.client)
+            self._quota.leave(who.client)
         try:
             for work in rest:
                 work()

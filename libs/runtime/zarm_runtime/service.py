@@ -59,7 +59,7 @@ class Service:
     instance: str = field(default_factory=lambda: f"{time.time_ns() // 1_000_000:011x}{secrets.token_hex(2)}")
     interruptible: Callable[[], None] = lambda: None
     """Raises if the service must not restart now; set by a service that moves something."""
-    ailment: Callable[[], str | None] = lambda: None
+    impairment: Callable[[], str | None] = lambda: None
     """A sentence on what keeps a ready service from serving; set by a service that monitors itself."""
     metrics: Metrics = field(default_factory=Metrics)
     """The metrics, which have no effect unless they are served."""
@@ -97,13 +97,13 @@ class Service:
 
     def health(self, _: Nothing | None = None) -> Health:
         """The health of this service."""
-        ailment = self.ailment()
+        impairment = self.impairment()
         return Health(
             service=self.name,
             robot=self.keys.robot,
             instance=self.instance,
-            ready=self._ready and ailment is None,
-            activity=ailment or self._activity,
+            ready=self._ready and impairment is None,
+            activity=impairment or self._activity,
             version=version(),
             contract=CONTRACT,
             robot_hash=self.robot.hash,

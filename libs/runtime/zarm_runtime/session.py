@@ -48,7 +48,7 @@ def open_client(endpoint: str = DEFAULT_ENDPOINT, timeout: float = 5.0, role: Ro
     returns. Raises InvalidRequest for an invalid endpoint or certificates, and Unavailable.
     """
     certificates = _certificates(role or client_role()) if security_on() else None
-    place = spoken(endpoint)
+    place = resolved_endpoint(endpoint)
     try:
         return zenoh.open(_config(_client_settings(place, timeout) | (certificates.settings() if certificates else {})))
     except zenoh.ZError as error:
@@ -56,7 +56,7 @@ def open_client(endpoint: str = DEFAULT_ENDPOINT, timeout: float = 5.0, role: Ro
         raise Unavailable(f"no session with {place}: {reason}" if reason else _why_not(place)) from error
 
 
-def spoken(endpoint: str) -> str:
+def resolved_endpoint(endpoint: str) -> str:
     """The endpoint to use: with ZARM_SECURITY on, `tcp/...` becomes `tls/...`. Raises InvalidRequest for an invalid
     one.
     """
@@ -88,12 +88,12 @@ def router_config(listen: str | None = None, links: Sequence[str] = (), *, confi
     changes: dict[str, object] = {"mode": "router"}
     unsaid = settings.get_json("listen/endpoints") == zenoh.Config().get_json("listen/endpoints")
     if listen is not None or unsaid:  # Zenoh itself would listen everywhere
-        changes["listen/endpoints"] = [spoken(listen or DEFAULT_ENDPOINT)]
+        changes["listen/endpoints"] = [resolved_endpoint(listen or DEFAULT_ENDPOINT)]
     if links:
-        changes["connect/endpoints"] = [spoken(link) for link in links]
+        changes["connect/endpoints"] = [resolved_endpoint(link) for link in links]
     _set(settings, changes)
     if security_on():
-        said = {name: [spoken(one) for one in _endpoints(settings, name)] for name in ("listen", "connect")}
+        said = {name: [resolved_endpoint(one) for one in _endpoints(settings, name)] for name in ("listen", "connect")}
         _set(settings, {f"{name}/endpoints": endpoints for name, endpoints in said.items()})
         _set(settings, _certificates("router").settings() | {"access_control": access_control()})
     return settings

@@ -155,14 +155,14 @@ class RateBounds:
         turn = 3 * bend
         by_slope, by_turn = 1.0 / np.maximum(np.abs(slope), _STANDING), 1.0 / np.maximum(np.abs(turn), _STANDING)
         leaning, turning = np.sign(slope) * by_slope, np.sign(turn) * by_turn
-        rate = _room((1 + _SLACK) * limit * by_slope, _SLACK * limit * by_slope, (way * bend * leaning, _SQUARED))
-        product = _room(most_jerk * by_turn, least_jerk * by_turn, (way * twist * turning, _CUBED))
+        rate = _remaining((1 + _SLACK) * limit * by_slope, _SLACK * limit * by_slope, (way * bend * leaning, _SQUARED))
+        product = _remaining(most_jerk * by_turn, least_jerk * by_turn, (way * twist * turning, _CUBED))
         reach = np.minimum(rate * np.sqrt(np.maximum(_SQUARED, _SQUARED[1])), product)
         columns, losses = [rate, product], []
         for sign in (way, -way):
             of_trajectory, of_rate = (sign * twist * leaning, _CUBED), (sign * way * turn * leaning, reach)
-            near = _room(most_jerk * by_slope, least_jerk * by_slope, of_trajectory)
-            far = _room(most_jerk * by_slope, least_jerk * by_slope, of_trajectory, of_rate)
+            near = _remaining(most_jerk * by_slope, least_jerk * by_slope, of_trajectory)
+            far = _remaining(most_jerk * by_slope, least_jerk * by_slope, of_trajectory, of_rate)
             columns.append(near)
             losses.append(np.maximum(near - far, 0.0) / np.maximum(reach, _STANDING))
         cells = np.stack(columns + losses, axis=-1)
@@ -174,7 +174,7 @@ _SQUARED = np.arange(_NODES + 1.0) / _NODES
 _CUBED = _SQUARED**1.5
 
 
-def _room(most: Array, least: Array, *uses: tuple[Array, Array]) -> Array:
+def _remaining(most: Array, least: Array, *uses: tuple[Array, Array]) -> Array:
     """What every joint of every sample has left of `most` at the nodes (rows, nodes), at least `least`.
 
     Each use (rows, samples, J) is multiplied by a factor per node, (nodes,) or (rows, nodes); `most` and `least` are

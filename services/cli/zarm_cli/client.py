@@ -31,9 +31,9 @@ T = TypeVar("T")
 class Signals:
     """Signals that interrupt a command: SIGINT and SIGTERM, as in `zarm_cli.interrupts`."""
 
-    def attend(self, work: Callable[[], T]) -> T:
+    def run_interruptibly(self, work: Callable[[], T]) -> T:
         """What `work` returns or raises; raises KeyboardInterrupt at the first signal."""
-        return interrupts.attend(work)
+        return interrupts.run_interruptibly(work)
 
     def check(self) -> None:
         """Raise KeyboardInterrupt if a signal is pending."""

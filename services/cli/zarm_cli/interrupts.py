@@ -111,7 +111,7 @@ def pause(seconds: float = math.inf) -> None:
     wait_for(Inbox[None](), seconds)
 
 
-def attend(work: Callable[[], T]) -> T:
+def run_interruptibly(work: Callable[[], T]) -> T:
     """The result or exception of `work`, run by another thread. On KeyboardInterrupt its result is lost."""
     done: Inbox[bool] = Inbox()
     future = _work.submit(work)

@@ -29,7 +29,7 @@ from zarm_contract.robot import RobotDescription, find_robot, load_robot
 from zarm_runtime.bus import Bus
 from zarm_runtime.dds import RANGE, REACH
 from zarm_runtime.service import default_state
-from zarm_runtime.session import DEFAULT_ENDPOINT, open_router, spoken
+from zarm_runtime.session import DEFAULT_ENDPOINT, open_router, resolved_endpoint
 
 SERVICES = ("planner", "servo", "executor")
 """The services that every robot needs, in start order; they stop in reverse, so that the robot comes to rest first."""
@@ -117,7 +117,7 @@ def launch(
     robot = descriptor_of(robot)
     loaded = load_robot(robot)
     keys = keys_of(name if name is not None else loaded.descriptor.name)
-    endpoint = spoken(connect or listen)
+    endpoint = resolved_endpoint(connect or listen)
     arguments = ["--robot", str(find_robot(robot)), "--name", keys.robot, "--connect", endpoint, "--state", str(state)]
     choice = [] if strategy is None else ["--strategy", strategy]
     folders = [word for folder in meshes for word in ("--meshes", str(folder))]
@@ -271,7 +271,7 @@ def _say_ready(stack: Stack) -> None:
     client = stack.client
     first, *rest = stack.robot.descriptor.home
     endpoint = client.connection.bus.endpoint
-    where = "" if endpoint == spoken(DEFAULT_ENDPOINT) else f" --connect {endpoint}"
+    where = "" if endpoint == resolved_endpoint(DEFAULT_ENDPOINT) else f" --connect {endpoint}"
     out.print(
         facts(
             ("robot", client.name),

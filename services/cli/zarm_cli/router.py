@@ -10,7 +10,7 @@ import typer
 
 from zarm_cli.interrupts import pause
 from zarm_cli.output import facts, out
-from zarm_runtime.session import DEFAULT_ENDPOINT, listens_at, router_config, run_router, spoken
+from zarm_runtime.session import DEFAULT_ENDPOINT, listens_at, resolved_endpoint, router_config, run_router
 
 
 def router(
@@ -34,6 +34,6 @@ def router(
     settings = router_config(listen, link or (), config=config)
     with suppress(KeyboardInterrupt), run_router(settings):  # the usual end
         endpoints = [("endpoint", endpoint) for endpoint in listens_at(settings)]
-        out.print(facts(*endpoints, *(("link", spoken(endpoint)) for endpoint in link or ())))
+        out.print(facts(*endpoints, *(("link", resolved_endpoint(endpoint)) for endpoint in link or ())))
         out.print("The router runs; Ctrl-C stops it.")
         pause()

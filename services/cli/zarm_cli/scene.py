@@ -149,7 +149,7 @@ def move(
             robot.scene.move(object_name, Pose(place, pose[3:] or IDENTITY), velocity=along, speed=speed)
             if passed + _POSE_PERIOD > seconds:
                 break
-            SIGNALS.attend(lambda: time.sleep(_POSE_PERIOD))
+            SIGNALS.run_interruptibly(lambda: time.sleep(_POSE_PERIOD))
             passed = time.monotonic() - begun
     out.print(f"told where {object_name} is; without a new pose it is lost after 1 s")
 

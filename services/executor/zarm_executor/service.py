@@ -153,7 +153,7 @@ def start(service: Service) -> Iterator[None]:
                     ghost.show(key, plan)
 
                 bus.watch(keys.plans, receive)
-                service.interruptible, service.ailment = executor.check_idle, watchdog.ailment
+                service.interruptible, service.impairment = executor.check_idle, watchdog.impairment
                 _serve(bus, service, executor)
                 bus.subscribe_in_order(keys.stream, streams.receive)
                 _exempt_from_collection()

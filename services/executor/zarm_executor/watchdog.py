@@ -35,8 +35,8 @@ class Watchdog:
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watchdog", daemon=True)
 
-    def ailment(self) -> str | None:
-        """What is wrong with the control loop, as in `Service.ailment`."""
+    def impairment(self) -> str | None:
+        """What is wrong with the control loop, as in `Service.impairment`."""
         silent = self._missed * _PERIOD
         return f"the control loop has not ticked for {silent:.1f} s" if silent >= UNHEALTHY else None
 

@@ -77,7 +77,7 @@ class LeelooDriver:
             if self._random.random() >= self._fault.drop:
                 self._waiting.append((time.monotonic() + self._fault.delay, command))
 
-    def suffer(self, fault: DriverFault) -> Nothing:
+    def set_fault(self, fault: DriverFault) -> Nothing:
         """Apply this fault from now on, and no other. Raises InvalidRequest for a jump with the wrong joints."""
         if fault.jump is not None and len(fault.jump) != len(self._player.position):
             raise InvalidRequest(

@@ -49,7 +49,7 @@ def start(service: Service) -> Iterator[None]:
             trace,
         )
         side.listen(driver.play)
-        bus.serve(keys.simulated_fault, driver.suffer)
+        bus.serve(keys.simulated_fault, driver.set_fault)
         ended = threading.Event()
         thread = threading.Thread(target=driver.run, args=(ended,), name="arm")
         thread.start()

@@ -41,7 +41,7 @@ Request = TypeVar("Request", bound=Message)
 Reply = TypeVar("Reply", bound=Message)
 Answer = TypeVar("Answer")
 
-ROOM = 2 * ((os.cpu_count() or 1) + 16)
+CAPACITY = 2 * ((os.cpu_count() or 1) + 16)
 """Requests that may be pending on each key, half of them from one client: one per core, and 16 waiting. Each has its
 own thread, in which it can be cancelled while it waits.
 """
@@ -77,7 +77,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         return guarded
 
     def compute(key: Query[Request, Reply], handler: Callable[[Request], Reply | Encoded]) -> None:
-        bus.serve(key, when_warm(handler), workers=ROOM, backlog=0, shared=True)
+        bus.serve(key, when_warm(handler), workers=CAPACITY, backlog=0, shared=True)
 
     plans = bus.latched(keys.plans)
 

@@ -96,8 +96,8 @@ def _declared(engine: Engine) -> Iterator[_Declared]:
         "world_file", "", "A scene of zarm or a world of cuRobo (YAML); a change loads it in place of the objects."
     )
     yield _Declared("voxel_size", 0.05, "Edge of a voxel of get_voxel_grid (m).", (0.005, 1.0))
-    for kind, room in (("obb", 100), ("mesh", 100), ("blox", 10)):
-        yield _Declared(f"{kind}_cache_size", room, f"Room for obstacles of the kind {kind}.", (0, MAX_OBJECTS))
+    for kind, capacity in (("obb", 100), ("mesh", 100), ("blox", 10)):
+        yield _Declared(f"{kind}_cache_size", capacity, f"Room for obstacles of the kind {kind}.", (0, MAX_OBJECTS))
     # Closed loop: read when a goal begins
     yield _Declared("convergence_threshold", 0.01, "Distance from which a goal is on target (m).", (0.0001, 1.0))
     yield _Declared("convergence_threshold_rad", 0.05, "Turn from which a goal is on target (rad).", (0.0001, 3.0))

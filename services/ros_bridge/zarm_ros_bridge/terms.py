@@ -72,9 +72,9 @@ class Translated(CtrlC):
     def __init__(self, terms: Terms) -> None:
         self._terms = terms
 
-    def attend(self, work: Callable[[], T]) -> T:
+    def run_interruptibly(self, work: Callable[[], T]) -> T:
         """See `zarm.interrupts.Interrupts`."""
         try:
-            return super().attend(work)
+            return super().run_interruptibly(work)
         except ZarmError as error:
             raise self._terms.of_error(error) from error

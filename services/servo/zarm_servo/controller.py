@@ -174,7 +174,7 @@ class Controller:
         for position in positions:
             near = situation.nearby(position, within=self._margin)
             for pair in near if before is not None else ():
-                kept, names = min(self._margin, pair.room), (pair.link, pair.object)
+                kept, names = min(self._margin, pair.kept_margin), (pair.link, pair.object)
                 if pair.distance < min((before or {}).get(names, kept), kept) - _STEADY:
                     return Limitation("blocked", names, pair.distance)
             before = {(pair.link, pair.object): pair.distance for pair in near}

@@ -19,7 +19,7 @@ PlanFor = Callable[[PlanRequest, float], Plan]
 
 TIMEOUT = 0.5
 """Time limit (s) for the planner when a target is first asked for, and for poses near it."""
-_ROOM = 0.005
+_EXTRA_MARGIN = 0.005
 """Extra clearance (m) of a plan beyond the margin, where possible, so that following it never gets stuck."""
 _RINGS = (0.02, 0.05, 0.1, 0.2, 0.4)
 """Distances (m) from an unreachable pose at which the planner tries others."""
@@ -89,14 +89,14 @@ def find_global_plan(
 
     refusal: ZarmError | None = None
     goal = _goal(target)
-    for kept in (margin + _ROOM, margin):
+    for kept in (margin + _EXTRA_MARGIN, margin):
         try:
             return GlobalPlan(plan(goal, kept, timeout), target)
         except (PlanningFailed, DeadlineExceeded) as error:
             refusal = error
     for nearer in _nearer(target, distance):
         try:
-            return GlobalPlan(plan(nearer, margin + _ROOM, TIMEOUT), target, refusal)
+            return GlobalPlan(plan(nearer, margin + _EXTRA_MARGIN, TIMEOUT), target, refusal)
         except (PlanningFailed, DeadlineExceeded):
             continue
     raise refusal or PlanningFailed("there is no plan", code="no_path")

@@ -235,7 +235,7 @@ class Session:
             link=link,
             object=other,
             distance=limitation.distance,
-            clearance=next((pair.distance for pair in near if pair.room >= self._margin), None),
+            clearance=next((pair.distance for pair in near if pair.kept_margin >= self._margin), None),
             moving=snapshot.moving,
             sequence=self.inbox.sequence,
             target_age=snapshot.age,

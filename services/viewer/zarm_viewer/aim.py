@@ -16,8 +16,8 @@ from viser.transforms import SE3
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import IkRequest
 from zarm_viewer.arm import STILL, Arm, Ghost
-from zarm_viewer.desk import Desk
 from zarm_viewer.kinematics import Array, message_of, pose_at
+from zarm_viewer.panel_context import PanelContext
 
 FREE, COLLIDING, UNREACHABLE = (64, 192, 87), (240, 62, 62), (134, 142, 150)
 DRAGGED, BRANCHES = 8, 64
@@ -68,16 +68,16 @@ class Aim:
 class Goal:
     """The goal that users aim with. It follows the robot until someone moves it."""
 
-    def __init__(self, desk: Desk) -> None:
-        self._desk = desk
-        scene = desk.server.scene
+    def __init__(self, panels: PanelContext) -> None:
+        self._panels = panels
+        scene = panels.server.scene
         self._ghost = Ghost(
-            lambda: Arm(scene, f"{desk.root}/goal_ghost", desk.description, desk.body, FREE, opacity=0.45)
+            lambda: Arm(scene, f"{panels.root}/goal_ghost", panels.description, panels.body, FREE, opacity=0.45)
         )
-        self.gizmo = scene.add_transform_controls(f"{desk.root}/goal", scale=0.3, line_width=3.0, depth_test=False)
+        self.gizmo = scene.add_transform_controls(f"{panels.root}/goal", scale=0.3, line_width=3.0, depth_test=False)
         self._changed = threading.Condition()
         self._wanted: tuple[SE3 | Array, Array] | None = None
-        self._aim = Aim(desk.chain.tip(desk.joints), ())
+        self._aim = Aim(panels.chain.tip(panels.joints), ())
         self._place_gizmo(self._aim.pose)
         self._sought: SE3 | Array = self._aim.pose
         self.aimed = False
@@ -108,7 +108,7 @@ class Goal:
 
     def at(self, joints: Array) -> None:
         """Aim at joint positions (J,) in rad."""
-        self._place_gizmo(self._desk.chain.tip(joints))
+        self._place_gizmo(self._panels.chain.tip(joints))
         self._want(joints)
 
     def check_again(self) -> None:
@@ -134,9 +134,9 @@ class Goal:
         """Follow the robot if no goal has been chosen."""
         if self.aimed:
             return
-        joints = self._desk.joints
+        joints = self._panels.joints
         if self._followed is None or np.abs(joints - self._followed).max() > STILL:
-            pose = self._desk.chain.tip(joints)
+            pose = self._panels.chain.tip(joints)
             self._place_gizmo(pose)
             self._aim = Aim(pose, ())
             self._followed, self._rests = joints, False
@@ -164,7 +164,7 @@ class Goal:
     def _near(self) -> Array:
         """The joint positions to which the next solutions should be near: those shown."""
         branch = self._aim.branch
-        return self._desk.joints if branch is None else branch.joints
+        return self._panels.joints if branch is None else branch.joints
 
     def _solve(self) -> None:
         dragged: SE3 | None = None
@@ -181,7 +181,7 @@ class Goal:
                 dragged = None
 
     def _find(self, what: SE3 | Array, near: Array, most: int) -> None:
-        pose = what if isinstance(what, SE3) else self._desk.chain.tip(what)
+        pose = what if isinstance(what, SE3) else self._panels.chain.tip(what)
         try:
             found = self._branches(pose, near, most) if isinstance(what, SE3) else self._checked([tuple(what.tolist())])
             aim = Aim(pose, found)
@@ -197,7 +197,7 @@ class Goal:
             max_solutions=most,
             collision_free=False,
         )
-        found = self._desk.robot.request_ik(request, timeout=_SECONDS).solutions[0]
+        found = self._panels.robot.request_ik(request, timeout=_SECONDS).solutions[0]
 
         def turns(branch: Branch) -> tuple[bool, float]:
             return branch.in_collision, float(np.abs(branch.joints - near).max())
@@ -207,7 +207,7 @@ class Goal:
     def _checked(self, solutions: list[tuple[float, ...]]) -> tuple[Branch, ...]:
         if not solutions:
             return ()
-        results = self._desk.robot.check(solutions, timeout=_SECONDS)
+        results = self._panels.robot.check(solutions, timeout=_SECONDS)
         return tuple(
             Branch(np.array(joints), result.pair, result.in_collision)
             for joints, result in zip(solutions, results, strict=True)
@@ -215,7 +215,7 @@ class Goal:
 
     def _show(self, aim: Aim) -> None:
         branch = aim.branch
-        with self._desk.server.atomic():
+        with self._panels.server.atomic():
             if branch is not None:
                 self._ghost.show(branch.joints)
             self._ghost.paint(UNREACHABLE if branch is None else COLLIDING if branch.in_collision else FREE)

@@ -7,35 +7,35 @@ from typing import Any
 
 from viser import GuiButtonHandle, GuiEvent, IconName
 
-from zarm_viewer.desk import Desk
+from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.style import MOVES
 
 
 def button(
-    desk: Desk, label: str, icon: IconName, work: Callable[[], object], *, moves: bool = False
+    panels: PanelContext, label: str, icon: IconName, work: Callable[[], object], *, moves: bool = False
 ) -> GuiButtonHandle:
     """A button that does `work`, and is disabled until that ends; a different colour if it `moves` the robot. Errors
     are shown on the page that used it.
     """
-    handle = desk.server.gui.add_button(label, icon=icon, color=MOVES if moves else None)
+    handle = panels.server.gui.add_button(label, icon=icon, color=MOVES if moves else None)
 
     @handle.on_click
     def _(event: GuiEvent[GuiButtonHandle]) -> None:
         handle.disabled = True
         try:
-            desk.attempt(label, work, event.client)
+            panels.attempt(label, work, event.client)
         finally:
             handle.disabled = False
 
     return handle
 
 
-def changed(desk: Desk, handle: Any, label: str, work: Callable[[], object]) -> None:
+def changed(panels: PanelContext, handle: Any, label: str, work: Callable[[], object]) -> None:
     """Do `work` whenever a user changes this input, but not when the page does."""
 
     def update(event: GuiEvent[Any]) -> None:
         if event.client is not None:
-            desk.attempt(label, work, event.client)
+            panels.attempt(label, work, event.client)
 
     handle.on_update(update)
 

@@ -23,8 +23,8 @@ from zarm_viewer.body import body_of
 from zarm_viewer.controls import put
 from zarm_viewer.corrections import Corrections
 from zarm_viewer.drawing import Brush, link_mesh
+from zarm_viewer.environment import add_environment
 from zarm_viewer.gate import Gate
-from zarm_viewer.room import furnish
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +44,7 @@ class Editor:
         self._robot = robot
         self.server = gate.serve("zarm")
         self.address = gate.address(self.server.get_port())
-        furnish(self.server, robots=1)
+        add_environment(self.server, robots=1)
         self._arm = Arm(self.server.scene, "/robot", robot, body_of(robot), LINKS, opacity=0.6)
         gui = self.server.gui
         gui.add_markdown(f"**{robot.path.name}**")

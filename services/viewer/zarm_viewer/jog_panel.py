@@ -13,9 +13,9 @@ from viser.transforms import SE3
 from zarm.servoing import Jogging, Tracking
 from zarm.values import pose_of
 from zarm_viewer.aim import Goal
-from zarm_viewer.desk import Desk
 from zarm_viewer.jogger import Jogger
 from zarm_viewer.kinematics import message_of
+from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.style import PAIRED
 
 LINEAR, ANGULAR, JOINT = 0.15, 0.6, 0.4
@@ -33,16 +33,16 @@ _KEYS = {"I": (0, 1), "K": (0, -1), "J": (1, 1), "L": (1, -1), "U": (2, 1), "O":
 class JogPanel:
     """What is jogged, and how fast; the status above says what limits it."""
 
-    def __init__(self, desk: Desk, goal: Goal) -> None:
-        self._desk, self._goal = desk, goal
-        self._jogger = Jogger(desk)
-        gui = desk.server.gui
+    def __init__(self, panels: PanelContext, goal: Goal) -> None:
+        self._panels, self._goal = panels, goal
+        self._jogger = Jogger(panels)
+        gui = panels.server.gui
         gui.add_markdown("Hold a button, or Shift with I/K (x), J/L (y) or U/O (z); let go to stop.")
         self._way = gui.add_dropdown("jog", _WAYS)
         self._scale = gui.add_slider("jog speed", 0.05, 1.0, 0.05, 0.3)
         self._tip = [self._pair(axis, partial(self._twist, axis=at)) for at, axis in enumerate(_AXES)]
         self._joints = [
-            self._pair(joint, partial(self._joint, joint=joint)) for joint in desk.description.descriptor.joints
+            self._pair(joint, partial(self._joint, joint=joint)) for joint in panels.description.descriptor.joints
         ]
         self._way.on_update(lambda _: self._choose())
         self._choose()
@@ -69,7 +69,7 @@ class JogPanel:
 
     def _pair(self, label: str, jog: Callable[..., None]) -> tuple[GuiButtonHandle, GuiButtonHandle]:
         """Buttons that `jog` while held: down and up."""
-        down, up = (self._desk.server.gui.add_button(f"{sign} {label}", color=PAIRED) for sign in "−+")
+        down, up = (self._panels.server.gui.add_button(f"{sign} {label}", color=PAIRED) for sign in "−+")
         down.on_hold(self._asks(partial(jog, sign=-1)), callback_hz=RATE)
         up.on_hold(self._asks(partial(jog, sign=1)), callback_hz=RATE)
         return down, up
@@ -92,7 +92,7 @@ class JogPanel:
         self._jogger.ask(client, "jog", send, **hold)
 
     def _joint(self, client: ClientHandle | None, joint: str, sign: int) -> None:
-        joints = self._desk.description.descriptor.joints
+        joints = self._panels.description.descriptor.joints
         speeds = [sign * self._scale.value * JOINT if each == joint else 0.0 for each in joints]
 
         def send(session: Jogging | Tracking) -> None:

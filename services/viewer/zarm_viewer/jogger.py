@@ -18,7 +18,7 @@ from viser import ClientHandle
 
 from zarm.servoing import PERIOD, Jogging, Tracking
 from zarm_contract.errors import ZarmError
-from zarm_viewer.desk import Desk
+from zarm_viewer.panel_context import PanelContext
 
 log = logging.getLogger(__name__)
 
@@ -55,8 +55,8 @@ class Held:
 class Jogger:
     """The current jog of a robot. Thread-safe."""
 
-    def __init__(self, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, panels: PanelContext) -> None:
+        self._panels = panels
         self._changed = threading.Condition()
         self._owner: int | None = None
         self._held = Held()
@@ -64,7 +64,7 @@ class Jogger:
         self._send: Send | None = None
         self._until = 0.0
         self._told = 0.0
-        desk.server.on_client_disconnect(lambda client: self.release(client.client_id))
+        panels.server.on_client_disconnect(lambda client: self.release(client.client_id))
         threading.Thread(target=self._run, name="jog", daemon=True).start()
 
     def ask(self, client: ClientHandle | None, kind: Kind, send: Send, hold: float = HOLD) -> None:
@@ -98,11 +98,11 @@ class Jogger:
                 self._changed.wait_for(lambda: time.monotonic() < self._until)
                 kind = self._kind
             try:
-                robot = self._desk.robot
+                robot = self._panels.robot
                 with robot.jog() if kind == "jog" else robot.track() as session:
                     self._lead(session, kind)
             except ZarmError as error:
-                self._desk.tell(f"jog: {error.problem.code}", str(error), colour="red")
+                self._panels.tell(f"jog: {error.problem.code}", str(error), colour="red")
                 with self._changed:
                     self._until = 0.0
             except Exception:

@@ -9,7 +9,7 @@ import numpy as np
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import CheckResult
 from zarm_viewer.controls import put
-from zarm_viewer.desk import Desk
+from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.picture import Picture
 
 PERIOD = 0.2
@@ -21,16 +21,16 @@ NEAR = np.radians(10.0)
 class LooksPanel:
     """Check boxes, and what they show."""
 
-    def __init__(self, desk: Desk, picture: Picture) -> None:
-        self._desk, self._picture = desk, picture
-        gui = desk.server.gui
+    def __init__(self, panels: PanelContext, picture: Picture) -> None:
+        self._panels, self._picture = panels, picture
+        gui = panels.server.gui
         spheres = gui.add_checkbox("collision spheres", False)
         spheres.on_update(lambda _: picture.arm.show_spheres(spheres.value))
         axes = gui.add_checkbox("axes of the links", False)
         axes.on_update(lambda _: picture.arm.show_axes(axes.value))
         self._asks = threading.Event()
         self._found: CheckResult | ZarmError | None = None
-        if desk.client is not None:
+        if panels.client is not None:
             clearance = gui.add_checkbox("clearance", False, hint="A line between the two nearest points")
             clearance.on_update(lambda _: self._asks.set() if clearance.value else self._asks.clear())
             threading.Thread(target=self._ask, name="clearance", daemon=True).start()
@@ -48,14 +48,14 @@ class LooksPanel:
             lines.append(str(found))
         self._picture.show_clearance(found.points if isinstance(found, CheckResult) else None)
         if self._limits.value:
-            robot = self._desk.description
+            robot = self._panels.description
             for joint, at, low, high in zip(
-                robot.descriptor.joints, self._desk.joints, robot.lower, robot.upper, strict=True
+                robot.descriptor.joints, self._panels.joints, robot.lower, robot.upper, strict=True
             ):
                 if np.isinf(low):
                     continue
-                room = f"{np.degrees(at - low):.0f}° down, {np.degrees(high - at):.0f}° up"
-                lines.append(f"{joint}: " + (f"**{room}**" if min(at - low, high - at) < NEAR else room))
+                distances = f"{np.degrees(at - low):.0f}° down, {np.degrees(high - at):.0f}° up"
+                lines.append(f"{joint}: " + (f"**{distances}**" if min(at - low, high - at) < NEAR else distances))
         put(self._text, "  \n".join(lines), "content")
         put(self._text, bool(lines), "visible")
 
@@ -63,7 +63,7 @@ class LooksPanel:
         pause = threading.Event()
         while self._asks.wait():
             try:
-                self._found = self._desk.robot.check(points=True, timeout=1.0)[0]
+                self._found = self._panels.robot.check(points=True, timeout=1.0)[0]
             except ZarmError as error:
                 self._found = error
             pause.wait(PERIOD)

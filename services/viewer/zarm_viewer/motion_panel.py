@@ -18,9 +18,9 @@ from zarm_contract.messages import Plan
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.aim import Goal
 from zarm_viewer.controls import button, changed, put
-from zarm_viewer.desk import Desk
 from zarm_viewer.kinematics import message_of
 from zarm_viewer.named_poses import NamedPoses
+from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.plan_options import PlanOptions
 from zarm_viewer.watching import News
 from zarm_viewer.waypoints import WaypointHandles
@@ -35,27 +35,27 @@ class MotionPanel:
     `forget_plan` removes the last plan from the rest of the page, when the next one is asked for.
     """
 
-    def __init__(self, desk: Desk, goal: Goal, poses: NamedPoses, forget_plan: Callable[[], object]) -> None:
-        self._desk, self._goal, self._poses, self._forget_plan = desk, goal, poses, forget_plan
+    def __init__(self, panels: PanelContext, goal: Goal, poses: NamedPoses, forget_plan: Callable[[], object]) -> None:
+        self._panels, self._goal, self._poses, self._forget_plan = panels, goal, poses, forget_plan
         self._plan: Plan | None = None
         self._timed: TimedTrajectory | None = None
-        self._waypoints = WaypointHandles(desk)
+        self._waypoints = WaypointHandles(panels)
         self._shown = 0
-        gui = desk.server.gui
+        gui = panels.server.gui
         self._say = gui.add_markdown(NO_GOAL)
-        button(self._desk, "Plan", Icon.ROUTE, self._plan_it)
-        button(self._desk, "Execute", Icon.PLAYER_PLAY, self._execute, moves=True)
-        button(self._desk, "Plan and execute", Icon.PLAYER_TRACK_NEXT, self._plan_and_execute, moves=True)
+        button(self._panels, "Plan", Icon.ROUTE, self._plan_it)
+        button(self._panels, "Execute", Icon.PLAYER_PLAY, self._execute, moves=True)
+        button(self._panels, "Plan and execute", Icon.PLAYER_TRACK_NEXT, self._plan_and_execute, moves=True)
         self._scrub = gui.add_slider("time (s)", 0.0, 1.0, 0.01, 0.0, disabled=True, hint="Look through the plan")
-        changed(desk, self._scrub, "look through the plan", self._scrub_to)
-        robot = desk.robot
+        changed(panels, self._scrub, "look through the plan", self._scrub_to)
+        robot = panels.robot
         self._group("motion", {"Pause": robot.pause, "Resume": robot.resume, "Cancel": robot.cancel})
         self._speed = gui.add_slider("speed", 0.05, 1.0, 0.05, 1.0)
-        changed(desk, self._speed, "speed", lambda: robot.speed(self._speed.value))
+        changed(panels, self._speed, "speed", lambda: robot.speed(self._speed.value))
         self._strategy = gui.add_dropdown("strategy", ["-"])
-        changed(desk, self._strategy, "strategy", lambda: robot.strategy(self._strategy.value))
+        changed(panels, self._strategy, "strategy", lambda: robot.strategy(self._strategy.value))
         self._branch = gui.add_dropdown("branch", ["1"], visible=False)
-        changed(desk, self._branch, "branch", self._choose_branch)
+        changed(panels, self._branch, "branch", self._choose_branch)
         with gui.add_folder("Poses", expand_by_default=False):
             self._add_poses()
         with gui.add_folder("Joints (deg)", expand_by_default=False):
@@ -65,7 +65,7 @@ class MotionPanel:
         with gui.add_folder("Waypoints", expand_by_default=False):
             self._add_waypoints()
         with gui.add_folder("Options", expand_by_default=False):
-            self._options = PlanOptions(desk)
+            self._options = PlanOptions(panels)
 
     def draw(self, news: News) -> None:
         """Show what has changed."""
@@ -93,16 +93,16 @@ class MotionPanel:
     # -- what is on it --
 
     def _add_poses(self) -> None:
-        gui = self._desk.server.gui
+        gui = self._panels.server.gui
         choice = gui.add_dropdown("pose", self._poses.names())
-        button(self._desk, "Aim there", Icon.TARGET, lambda: self._aim_at(np.array(self._poses.joints(choice.value))))
-        button(self._desk, "Home", Icon.HOME, lambda: self._aim_at(np.array(self._poses.joints("home"))))
-        button(self._desk, "Back to the robot", Icon.ARROW_BACK_UP, self._goal.forget)
+        button(self._panels, "Aim there", Icon.TARGET, lambda: self._aim_at(np.array(self._poses.joints(choice.value))))
+        button(self._panels, "Home", Icon.HOME, lambda: self._aim_at(np.array(self._poses.joints("home"))))
+        button(self._panels, "Back to the robot", Icon.ARROW_BACK_UP, self._goal.forget)
         name = gui.add_text("name", "here")
 
         def keep() -> None:
             branch = self._goal.now.branch
-            joints = self._desk.joints if branch is None else branch.joints
+            joints = self._panels.joints if branch is None else branch.joints
             try:
                 self._poses.keep(name.value, tuple(joints.tolist()))
             except ValidationError as error:
@@ -114,25 +114,25 @@ class MotionPanel:
             self._poses.remove(choice.value)
             choice.options = self._poses.names()
 
-        button(self._desk, "Keep the goal under this name", Icon.BOOKMARK, keep)
-        button(self._desk, "Remove the pose", Icon.TRASH, remove)
+        button(self._panels, "Keep the goal under this name", Icon.BOOKMARK, keep)
+        button(self._panels, "Remove the pose", Icon.TRASH, remove)
 
     def _add_joints(self) -> None:
-        robot, gui = self._desk.description, self._desk.server.gui
-        lower, upper = robot.range_about(self._desk.joints.tolist())
+        robot, gui = self._panels.description, self._panels.server.gui
+        lower, upper = robot.range_about(self._panels.joints.tolist())
         self._sliders = [
             gui.add_slider(joint, *_degrees(low, high), 0.1, float(np.degrees(at)))
-            for joint, low, high, at in zip(robot.descriptor.joints, lower, upper, self._desk.joints, strict=True)
+            for joint, low, high, at in zip(robot.descriptor.joints, lower, upper, self._panels.joints, strict=True)
         ]
 
         def slide() -> None:
             self._goal.at(np.radians([slider.value for slider in self._sliders]))
 
         for slider in self._sliders:
-            changed(self._desk, slider, "joints", slide)
+            changed(self._panels, slider, "joints", slide)
 
     def _add_numbers(self) -> None:
-        gui = self._desk.server.gui
+        gui = self._panels.server.gui
         self._position = gui.add_vector3("xyz (m)", (0.0, 0.0, 0.0), step=0.001)
         self._turn = gui.add_vector3("rpy (deg)", (0.0, 0.0, 0.0), step=0.1)
 
@@ -143,21 +143,21 @@ class MotionPanel:
             self._goal.reach(pose)
 
         for numbers in (self._position, self._turn):
-            changed(self._desk, numbers, "tip", aim)
+            changed(self._panels, numbers, "tip", aim)
 
     def _add_waypoints(self) -> None:
-        self._desk.server.gui.add_markdown(
+        self._panels.server.gui.add_markdown(
             "The tip passes them on its way to the goal. Drag each to where it is wanted."
         )
-        button(self._desk, "Add one here", Icon.MAP_PIN_PLUS, lambda: self._waypoints.add(self._goal.now.pose))
-        button(self._desk, "Forget them", Icon.MAP_PIN_OFF, self._waypoints.clear)
+        button(self._panels, "Add one here", Icon.MAP_PIN_PLUS, lambda: self._waypoints.add(self._goal.now.pose))
+        button(self._panels, "Forget them", Icon.MAP_PIN_OFF, self._waypoints.clear)
 
     def _group(self, label: str, actions: dict[str, Callable[[], object]]) -> None:
-        group = self._desk.server.gui.add_button_group(label, list(actions))
+        group = self._panels.server.gui.add_button_group(label, list(actions))
 
         @group.on_click
         def _(event: Any) -> None:
-            self._desk.attempt(group.value, actions[group.value], event.client)
+            self._panels.attempt(group.value, actions[group.value], event.client)
 
     # -- what it does --
 
@@ -177,13 +177,13 @@ class MotionPanel:
         self._scrub.disabled = True
         self._forget_plan()
         options = self._options
-        plan = self._desk.robot.plan(self._target(), path_constraint=options.path_constraint, **options.settings)
+        plan = self._panels.robot.plan(self._target(), path_constraint=options.path_constraint, **options.settings)
         self._take(plan)
         return plan
 
     def _take(self, plan: Plan) -> None:
         """Make this plan, whoever made it, the one to scrub through and execute, since its path is the one drawn."""
-        self._timed = TimedTrajectory.of(plan.trajectory, self._desk.description.descriptor.joints)
+        self._timed = TimedTrajectory.of(plan.trajectory, self._panels.description.descriptor.joints)
         self._plan = plan
         self._scrub.max, self._scrub.disabled = round(self._timed.duration, 2), False
         put(self._scrub, 0.0)
@@ -197,7 +197,7 @@ class MotionPanel:
         self._start(self._plan_it())
 
     def _start(self, plan: Plan) -> None:
-        self._desk.robot.start(plan, replan=self._options.replan)
+        self._panels.robot.start(plan, replan=self._options.replan)
         self._goal.forget()
 
     def _choose_branch(self) -> None:
@@ -217,7 +217,7 @@ class MotionPanel:
             put(self._branch, options[aim.chosen])
         self._branch.visible = len(options) > 1
         if aim.branch is not None or not aimed:
-            joints = self._desk.joints if aim.branch is None else aim.branch.joints
+            joints = self._panels.joints if aim.branch is None else aim.branch.joints
             for slider, value in zip(self._sliders, np.degrees(joints), strict=True):
                 with contextlib.suppress(ValueError):
                     put(slider, round(float(np.clip(value, slider.min, slider.max)), 1))

@@ -23,8 +23,8 @@ from zarm_contract import messages
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Scene, SceneObject
 from zarm_viewer.controls import button, put
-from zarm_viewer.desk import Desk
 from zarm_viewer.kinematics import message_of, pose_at, pose_of
+from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.scene_view import SceneView
 
 KINDS = ("cuboid", "sphere", "cylinder", "capsule")
@@ -34,40 +34,40 @@ _NOTHING = "-"
 class ObjectsPanel:
     """The objects by name; the one chosen, by its name or by a click in the 3D view, has a gizmo."""
 
-    def __init__(self, desk: Desk, view: SceneView) -> None:
-        self._desk, self._view = desk, view
+    def __init__(self, panels: PanelContext, view: SceneView) -> None:
+        self._panels, self._view = panels, view
         self._scene: Scene | None = None
         self._gizmo: TransformControlsHandle | None = None
         self._added = ""
         self._chosen: SceneObject | None = None
-        gui = desk.server.gui
+        gui = panels.server.gui
         self._choice = gui.add_dropdown("object", [_NOTHING])
         self._choice.on_update(lambda _: self._choose())
         self._size = gui.add_vector3("size (m)", (0.1, 0.1, 0.1), min=(0.001,) * 3, step=0.01, hint=_SIZES)
-        button(self._desk, "Resize", Icon.RESIZE, self._resize)
-        button(self._desk, "Remove", Icon.TRASH, lambda: desk.robot.scene.remove(self._name()))
-        button(self._desk, "Attach to the tip", Icon.MAGNET, lambda: desk.robot.scene.attach(self._name()))
-        button(self._desk, "Detach", Icon.MAGNET_OFF, lambda: desk.robot.scene.detach(self._name()))
+        button(self._panels, "Resize", Icon.RESIZE, self._resize)
+        button(self._panels, "Remove", Icon.TRASH, lambda: panels.robot.scene.remove(self._name()))
+        button(self._panels, "Attach to the tip", Icon.MAGNET, lambda: panels.robot.scene.attach(self._name()))
+        button(self._panels, "Detach", Icon.MAGNET_OFF, lambda: panels.robot.scene.detach(self._name()))
         with gui.add_folder("Add"):
             self._kind = gui.add_dropdown("kind", KINDS)
             self._new_name = gui.add_text("name", "box")
             self._new_size = gui.add_vector3("size (m)", (0.15, 0.15, 0.15), min=(0.001,) * 3, step=0.01, hint=_SIZES)
             self._new_place = gui.add_vector3("place (m)", (0.5, 0.4, 0.2), step=0.01)
-            button(self._desk, "Add", Icon.PLUS, self._add)
+            button(self._panels, "Add", Icon.PLUS, self._add)
         with gui.add_folder("File", expand_by_default=False):
             upload = gui.add_upload_button("Load", icon=Icon.UPLOAD, mime_type=".yaml,.yml")
 
             @upload.on_upload
             def _(event: GuiEvent[GuiUploadButtonHandle]) -> None:
-                desk.attempt("load", lambda: self._load(upload.value.name, upload.value.content), event.client)
+                panels.attempt("load", lambda: self._load(upload.value.name, upload.value.content), event.client)
 
             save = gui.add_button("Save", icon=Icon.DOWNLOAD)
 
             @save.on_click
             def _(event: GuiEvent[GuiButtonHandle]) -> None:
-                desk.attempt("save", lambda: self._save(event.client), event.client)
+                panels.attempt("save", lambda: self._save(event.client), event.client)
 
-        desk.server.scene.on_click()(self._click)
+        panels.server.scene.on_click()(self._click)
 
     def draw(self, scene: Scene | None) -> None:
         """Show the objects of a new scene."""
@@ -84,7 +84,7 @@ class ObjectsPanel:
         self._choose()
 
     def _click(self, event: SceneClickEvent) -> None:
-        base = np.array((0.0, self._desk.aside, 0.0))
+        base = np.array((0.0, self._panels.aside, 0.0))
         name = self._view.hit(np.array(event.ray_origin) - base, np.array(event.ray_direction))
         if name in self._choice.options:
             put(self._choice, name)
@@ -111,8 +111,8 @@ class ObjectsPanel:
             put(self._size, _size(item))
         self._chosen = item
         if self._gizmo is None:
-            self._gizmo = self._desk.server.scene.add_transform_controls(
-                f"{self._desk.root}/object", scale=0.2, depth_test=False
+            self._gizmo = self._panels.server.scene.add_transform_controls(
+                f"{self._panels.root}/object", scale=0.2, depth_test=False
             )
             self._gizmo.on_update(self._drag)
         self._gizmo.position, self._gizmo.wxyz = at.translation(), at.rotation().wxyz
@@ -123,7 +123,7 @@ class ObjectsPanel:
             return
         at = pose_at(event.target)
         if event.phase == "end":
-            self._desk.attempt(f"move {item.name}", lambda: self._replace(_placed(item, at)), event.client)
+            self._panels.attempt(f"move {item.name}", lambda: self._replace(_placed(item, at)), event.client)
         else:
             self._view.place(item.name, at)
 
@@ -135,24 +135,24 @@ class ObjectsPanel:
         self._replace(_resized(item, self._size.value))
 
     def _replace(self, item: SceneObject) -> None:
-        self._desk.robot.scene.add(item, replace=True)
+        self._panels.robot.scene.add(item, replace=True)
 
     def _add(self) -> None:
         at = SE3.from_translation(np.array(self._new_place.value))
         self._added = self._new_name.value
-        self._desk.robot.scene.add(_made(self._kind.value, self._new_name.value, self._new_size.value, at))
-        self._desk.note(f"added {self._new_name.value}")
+        self._panels.robot.scene.add(_made(self._kind.value, self._new_name.value, self._new_size.value, at))
+        self._panels.note(f"added {self._new_name.value}")
 
     def _load(self, name: str, content: bytes) -> None:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder, Path(name).name)
             file.write_bytes(content)
-            self._desk.robot.scene.load(file)
+            self._panels.robot.scene.load(file)
 
     def _save(self, client: Any) -> None:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder, "scene.yaml")
-            self._desk.robot.scene.save(file)
+            self._panels.robot.scene.save(file)
             client.send_file_download("scene.yaml", file.read_bytes(), save_immediately=True)
 
 

@@ -17,18 +17,18 @@ from zarm_contract.errors import ZarmError
 from zarm_contract.robot import RobotDescription
 from zarm_contract.roles import Role
 from zarm_viewer.aim import Goal
-from zarm_viewer.desk import Desk
+from zarm_viewer.environment import BESIDE, add_environment
 from zarm_viewer.gate import Gate
 from zarm_viewer.jog_panel import JogPanel
 from zarm_viewer.looks_panel import LooksPanel
 from zarm_viewer.motion_panel import MotionPanel
 from zarm_viewer.named_poses import NamedPoses
 from zarm_viewer.objects_panel import ObjectsPanel
+from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.picture import Picture
 from zarm_viewer.playback import Playback
 from zarm_viewer.plots_panel import PlotsPanel
 from zarm_viewer.record_panel import RecordPanel
-from zarm_viewer.room import BESIDE, furnish
 from zarm_viewer.status_panel import EventsPanel, StatusPanel
 from zarm_viewer.stop import Stop
 from zarm_viewer.style import STOP
@@ -72,7 +72,7 @@ class Page:
     def __init__(self, robots: Sequence[Shown], gate: Gate, role: Role, folders: Folders) -> None:
         self.server = gate.serve("zarm")
         self.address = gate.address(self.server.get_port())
-        furnish(self.server, len(robots))
+        add_environment(self.server, len(robots))
         moves = role != "viewer"
         self._stops: list[Stop] = []
         if any(isinstance(shown.source, Robot) for shown in robots):
@@ -120,12 +120,12 @@ class Page:
     def _choose_between(self, parts: Sequence[_Part]) -> None:
         if len(parts) < 2:
             return
-        names = [part.desk.name for part in parts]
+        names = [part.panels.name for part in parts]
         choice = self.server.gui.add_dropdown("robot", names, order=-1)
 
         def choose() -> None:
             for part in parts:
-                part.chosen(part.desk.name == choice.value)
+                part.chosen(part.panels.name == choice.value)
 
         choice.on_update(lambda _: choose())
         choose()
@@ -149,30 +149,30 @@ class _Part:
     def __init__(self, server: viser.ViserServer, shown: Shown, moves: bool, folders: Folders, aside: float) -> None:
         client = shown.source if isinstance(shown.source, Robot) else None
         moves = moves and client is not None
-        self.desk = Desk(server, shown.name, shown.description, client, moves, aside)
-        server.scene.add_frame(self.desk.root, show_axes=False, position=(0.0, aside, 0.0))
-        self._picture = Picture(self.desk, folders.meshes)
+        self.panels = PanelContext(server, shown.name, shown.description, client, moves, aside)
+        server.scene.add_frame(self.panels.root, show_axes=False, position=(0.0, aside, 0.0))
+        self._picture = Picture(self.panels, folders.meshes)
         self._folder = server.gui.add_folder(shown.name)
         self._record: RecordPanel | None = None
         self._events: EventsPanel | None = None
         self._controls: _Controls | None = None
         with self._folder:
-            self._status = StatusPanel(self.desk)
+            self._status = StatusPanel(self.panels)
             if moves:
                 self._add_reset()
             tabs = server.gui.add_tab_group()
             if moves:
-                self._controls = _Controls(self.desk, self._picture, tabs, folders.state, self._forget_plan)
+                self._controls = _Controls(self.panels, self._picture, tabs, folders.state, self._forget_plan)
             if isinstance(shown.source, Playback):
                 with tabs.add_tab("Record"):
-                    self._record = RecordPanel(self.desk, shown.source)
+                    self._record = RecordPanel(self.panels, shown.source)
             with tabs.add_tab("Look"):
-                self._looks = LooksPanel(self.desk, self._picture)
+                self._looks = LooksPanel(self.panels, self._picture)
             with tabs.add_tab("Plots"):
-                self._plots = PlotsPanel(self.desk)
+                self._plots = PlotsPanel(self.panels)
             if client is not None:
                 with tabs.add_tab("Log"):
-                    self._events = EventsPanel(self.desk, folders.records / shown.name / "records")
+                    self._events = EventsPanel(self.panels, folders.records / shown.name / "records")
         self._source = Watching(shown.source) if isinstance(shown.source, Robot) else shown.source
 
     def chosen(self, yes: bool) -> None:
@@ -184,13 +184,13 @@ class _Part:
     def stopped(self, name: str, error: ZarmError | None) -> None:
         """Report the result of a stop."""
         if error is None:
-            self.desk.note("**stop**")
+            self.panels.note("**stop**")
         else:
-            self.desk.tell(f"{name} was not told to stop", str(error), colour="red")
+            self.panels.tell(f"{name} was not told to stop", str(error), colour="red")
 
     def draw(self) -> None:
         """Show what has changed."""
-        news = self._source.take(self.desk.description.descriptor.joints)
+        news = self._source.take(self.panels.description.descriptor.joints)
         self._picture.draw(news)
         self._status.draw(news, self._source.age())
         if news.state is not None and self._controls is not None:
@@ -209,27 +209,32 @@ class _Part:
         self._status.forget_plan()
 
     def _add_reset(self) -> None:
-        self._reset = self.desk.server.gui.add_button("Reset the fault", color="orange", visible=False)
+        self._reset = self.panels.server.gui.add_button("Reset the fault", color="orange", visible=False)
 
         @self._reset.on_click
         def _(event: GuiEvent[GuiButtonHandle]) -> None:
-            self.desk.attempt("reset", self.desk.robot.reset, event.client)
+            self.panels.attempt("reset", self.panels.robot.reset, event.client)
 
 
 class _Controls:
     """Controls that move a robot; the page of a viewer role has none."""
 
     def __init__(
-        self, desk: Desk, picture: Picture, tabs: GuiTabGroupHandle, state: Path, forget_plan: Callable[[], object]
+        self,
+        panels: PanelContext,
+        picture: Picture,
+        tabs: GuiTabGroupHandle,
+        state: Path,
+        forget_plan: Callable[[], object],
     ) -> None:
-        self._goal = Goal(desk)
-        poses = NamedPoses(state / "viewer", desk.robot.name, desk.description.descriptor.home)
+        self._goal = Goal(panels)
+        poses = NamedPoses(state / "viewer", panels.robot.name, panels.description.descriptor.home)
         with tabs.add_tab("Move"):
-            self._motion = MotionPanel(desk, self._goal, poses, forget_plan)
+            self._motion = MotionPanel(panels, self._goal, poses, forget_plan)
         with tabs.add_tab("Scene"):
-            self._objects = ObjectsPanel(desk, picture.scene)
+            self._objects = ObjectsPanel(panels, picture.scene)
         with tabs.add_tab("Jog"):
-            self._jog = JogPanel(desk, self._goal)
+            self._jog = JogPanel(panels, self._goal)
 
     def chosen(self, yes: bool) -> None:
         """Show or hide the handles, and take keys or leave them."""

@@ -10,8 +10,8 @@ import numpy as np
 from zarm_contract.messages import Trajectory, Vector3
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.arm import Arm, Ghost
-from zarm_viewer.desk import Desk
 from zarm_viewer.kinematics import Array
+from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.scene_view import SceneView
 from zarm_viewer.watching import News
 
@@ -26,14 +26,14 @@ _APART = 0.005  # rad between ghost and robot above which the ghost is shown
 class Picture:
     """The drawings of one robot."""
 
-    def __init__(self, desk: Desk, meshes: tuple[Path, ...]) -> None:
-        self._desk = desk
-        scene = desk.server.scene
-        robot, body = desk.description, desk.body
-        self.arm = Arm(scene, f"{desk.root}/robot", robot, body, MEASURED, 1.0)
-        self._ghost = Ghost(lambda: Arm(scene, f"{desk.root}/ghost", robot, body, GHOST, 0.35))
+    def __init__(self, panels: PanelContext, meshes: tuple[Path, ...]) -> None:
+        self._panels = panels
+        scene = panels.server.scene
+        robot, body = panels.description, panels.body
+        self.arm = Arm(scene, f"{panels.root}/robot", robot, body, MEASURED, 1.0)
+        self._ghost = Ghost(lambda: Arm(scene, f"{panels.root}/ghost", robot, body, GHOST, 0.35))
         scene.add_frame(f"{self.arm.tip}/tip_axes", axes_length=0.12, axes_radius=0.004)
-        self.scene = SceneView(desk, self.arm.tip, meshes)
+        self.scene = SceneView(panels, self.arm.tip, meshes)
         self._trail: deque[Array] = deque(maxlen=TRAIL_POINTS)
         self._preview: Array | None = None
         self._clearance: tuple[Vector3, Vector3] | None = None
@@ -41,13 +41,13 @@ class Picture:
     def draw(self, news: News) -> None:
         """Show what has changed."""
         if news.joints is not None:
-            self._desk.joints, self._desk.measured = news.joints, True
+            self._panels.joints, self._panels.measured = news.joints, True
             if self.arm.move(news.joints):
                 self._extend_trail(news.joints)
         if news.preview is not None:
             self._preview = news.preview
         if self._preview is not None:
-            if float(np.abs(self._preview - self._desk.joints).max()) > _APART:
+            if float(np.abs(self._preview - self._panels.joints).max()) > _APART:
                 self._ghost.show(self._preview)
             else:
                 self._ghost.hide()
@@ -60,7 +60,7 @@ class Picture:
 
     def forget_path(self) -> None:
         """Remove the path of a plan that no longer holds."""
-        self._desk.server.scene.remove_by_name(f"{self._desk.root}/path")
+        self._panels.server.scene.remove_by_name(f"{self._panels.root}/path")
 
     def show_clearance(self, points: tuple[Vector3, Vector3] | None) -> None:
         """Show a line between two points (m) in the base frame, or none."""
@@ -69,23 +69,25 @@ class Picture:
             if points is not None:
                 self._line("clearance", np.array(points), CLEARANCE)
             else:
-                self._desk.server.scene.remove_by_name(f"{self._desk.root}/clearance")
+                self._panels.server.scene.remove_by_name(f"{self._panels.root}/clearance")
 
     def _extend_trail(self, joints: Array) -> None:
-        at = np.asarray(self._desk.chain.tip(joints).translation(), dtype=np.float64)
+        at = np.asarray(self._panels.chain.tip(joints).translation(), dtype=np.float64)
         if not self._trail or np.linalg.norm(at - self._trail[-1]) > TRAIL_STEP:
             self._trail.append(at)
             self._line("trail", np.array(self._trail), TRAIL)
 
     def _draw_path(self, trajectory: Trajectory) -> None:
-        timed = TimedTrajectory.of(trajectory, self._desk.description.descriptor.joints)
+        timed = TimedTrajectory.of(trajectory, self._panels.description.descriptor.joints)
         times = np.linspace(float(timed.time[0]), timed.duration, PATH_POINTS)
-        self._line("path", np.array([self._desk.chain.tip(row).translation() for row in timed.positions(times)]), PATH)
+        self._line(
+            "path", np.array([self._panels.chain.tip(row).translation() for row in timed.positions(times)]), PATH
+        )
 
     def _line(self, name: str, points: Array, colour: tuple[int, int, int]) -> None:
         if len(points) > 1:
-            self._desk.server.scene.add_line_segments(
-                f"{self._desk.root}/{name}",
+            self._panels.server.scene.add_line_segments(
+                f"{self._panels.root}/{name}",
                 np.stack((points[:-1], points[1:]), axis=1).astype(np.float32),
                 colour,
                 thickness=0.008,

@@ -9,7 +9,7 @@ from zarm.planner import Settings
 from zarm.values import AXES, Axis, PathConstraint
 from zarm_contract.messages import PlannerSettings
 from zarm_viewer.controls import put
-from zarm_viewer.desk import Desk
+from zarm_viewer.panel_context import PanelContext
 
 _DEFAULT = PlannerSettings()
 _HOLD = "What is ticked stays as it is at the start, all the way"
@@ -22,8 +22,8 @@ _REPLAN = "When something is put in the way, plan anew in motion and swerve; els
 class PlanOptions:
     """Inputs for how a plan is made and executed."""
 
-    def __init__(self, desk: Desk) -> None:
-        gui, default = desk.server.gui, _DEFAULT
+    def __init__(self, panels: PanelContext) -> None:
+        gui, default = panels.server.gui, _DEFAULT
         self._planner = gui.add_dropdown("planner", [default.planner], initial_value=default.planner, hint=_PLANNER)
         self._replan = gui.add_checkbox("replan on the way", False, hint=_REPLAN)
         self._velocity = gui.add_slider("velocity", 0.05, 1.0, 0.05, default.velocity_scale)

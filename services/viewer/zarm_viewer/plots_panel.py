@@ -11,8 +11,8 @@ from viser import GuiUplotHandle, uplot
 
 from zarm_contract.messages import Plan
 from zarm_trajectory.trajectory import TimedTrajectory
-from zarm_viewer.desk import Desk
 from zarm_viewer.kinematics import Array
+from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.watching import News
 
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
@@ -50,10 +50,10 @@ class Measured:
 class PlotsPanel:
     """Each joint as a share of its limit: 100 % is the limit, or for positions the upper one and -100 % the lower."""
 
-    def __init__(self, desk: Desk) -> None:
-        self._desk = desk
-        cspace = desk.description.descriptor.cspace
-        lower, upper = map(np.array, desk.description.range_about(desk.description.descriptor.home))
+    def __init__(self, panels: PanelContext) -> None:
+        self._panels = panels
+        cspace = panels.description.descriptor.cspace
+        lower, upper = map(np.array, panels.description.range_about(panels.description.descriptor.home))
         self._middle, half = (upper + lower) / 2, (upper - lower) / 2
         self._limits = (half, np.array(cspace.velocity), np.array(cspace.acceleration), np.array(cspace.jerk))
         self._plan: Plan | None = None
@@ -61,10 +61,10 @@ class PlotsPanel:
         self._error = np.zeros(len(lower))
         self._ticks: deque[tuple[float, float]] = deque(maxlen=int(SECONDS * RATE))
         self._measured = Measured(len(lower))
-        gui = desk.server.gui
+        gui = panels.server.gui
         self._choice = gui.add_dropdown("of the plan", QUANTITIES, initial_value="velocity")
         self._choice.on_update(lambda _: self._draw_plan())
-        joint_names = desk.description.descriptor.joints
+        joint_names = panels.description.descriptor.joints
         self._of_plan = self._plot("share of the limit (%)", joint_names)
         self._live = gui.add_dropdown("live", ("off", *LIVE, TICKS), initial_value="off")
         self._of_now = self._plot("live", joint_names)
@@ -88,7 +88,7 @@ class PlotsPanel:
                 self._ticks.append((now, 1e3 * goal.tick_lateness))
         if self._past and now - self._past[-1][0] < 1 / RATE:
             return
-        shares = 100 * np.array([self._desk.joints - self._middle, *self._measured.rates()]) / self._limits
+        shares = 100 * np.array([self._panels.joints - self._middle, *self._measured.rates()]) / self._limits
         self._past.append((now, np.array([*shares, self._error])))
         shown = self._live.value
         for plot, visible in ((self._of_now, shown in LIVE), (self._of_ticks, shown == TICKS)):
@@ -112,14 +112,14 @@ class PlotsPanel:
             ),
         )
         nothing = tuple(np.zeros(2) for _ in labels)
-        return self._desk.server.gui.add_uplot(
+        return self._panels.server.gui.add_uplot(
             (np.array([0.0, 1.0]), *nothing), series, title=title, scales={"x": {"time": False}}, height=220
         )
 
     def _draw_plan(self) -> None:
         if self._plan is None:
             return
-        timed = TimedTrajectory.of(self._plan.trajectory, self._desk.description.descriptor.joints)
+        timed = TimedTrajectory.of(self._plan.trajectory, self._panels.description.descriptor.joints)
         times, (position, *rates) = sampled(timed)
         rows = (position - self._middle, *rates)
         chosen = QUANTITIES.index(self._choice.value)

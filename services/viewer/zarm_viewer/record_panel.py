@@ -8,7 +8,7 @@ from html import escape
 from viser import Icon
 
 from zarm_viewer.controls import changed, put
-from zarm_viewer.desk import Desk
+from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.playback import SPEEDS, Playback
 
 STEP = 0.05
@@ -18,22 +18,22 @@ STEP = 0.05
 class RecordPanel:
     """Play, pause, the moment, the speed, and the story of the record."""
 
-    def __init__(self, desk: Desk, playback: Playback) -> None:
+    def __init__(self, panels: PanelContext, playback: Playback) -> None:
         self._playback = playback
-        story, gui = playback.story, desk.server.gui
+        story, gui = playback.story, panels.server.gui
         began = f"{datetime.fromtimestamp(story.began / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC"
         gui.add_markdown(f"`{playback.file.name}`  \nbegan {began}, lasted {story.lasted:.1f} s")
         self._play = gui.add_button("Pause", icon=Icon.PLAYER_PLAY)
         self._play.on_click(lambda _: playback.pause() if playback.playing else playback.play())
         self._moment = gui.add_slider("time (s)", 0.0, max(STEP, round(story.lasted, 2)), STEP, 0.0)
-        changed(desk, self._moment, "look at the record", lambda: playback.seek(self._moment.value))
+        changed(panels, self._moment, "look at the record", lambda: playback.seek(self._moment.value))
         speed = gui.add_dropdown("speed", [f"{each:g}" for each in SPEEDS], initial_value="1")
 
         def choose() -> None:
             playback.seek(playback.at)
             playback.speed = float(speed.value)
 
-        changed(desk, speed, "speed", choose)
+        changed(panels, speed, "speed", choose)
         if (far := story.deviation) is not None:
             gui.add_markdown(f"furthest off: {far.joint} by {1e3 * far.size:.1f} mrad at {far.time:.2f} s")
         self._told = gui.add_markdown("")

@@ -9,9 +9,9 @@ from viser import SceneNodeHandle
 from viser.transforms import SE3
 
 from zarm_contract.messages import Scene, SceneObject
-from zarm_viewer.desk import Desk
 from zarm_viewer.drawing import Brush, draw_object
 from zarm_viewer.kinematics import Array
+from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.picking import distance
 
 OBJECT, CARRIED = (120, 144, 176), (230, 160, 60)
@@ -20,15 +20,15 @@ OBJECT, CARRIED = (120, 144, 176), (230, 160, 60)
 class SceneView:
     """Draws the changes from one scene to the next. `tip` is the node that carries attached objects."""
 
-    def __init__(self, desk: Desk, tip: str, meshes: tuple[Path, ...]) -> None:
-        self._desk, self._tip, self._meshes = desk, tip, meshes
+    def __init__(self, panels: PanelContext, tip: str, meshes: tuple[Path, ...]) -> None:
+        self._panels, self._tip, self._meshes = panels, tip, meshes
         self._drawn: dict[str, tuple[SceneObject, SceneNodeHandle | None]] = {}
 
     def draw(self, scene: Scene) -> None:
         """Show this scene."""
         wanted: dict[str, tuple[str, SceneObject, bool]] = {}
         for item in scene.objects:
-            wanted[f"{self._desk.root}/scene/{item.name}"] = item.name, item, False
+            wanted[f"{self._panels.root}/scene/{item.name}"] = item.name, item, False
         for carried in scene.attached:
             wanted[f"{self._tip}/carried_{carried.object.name}"] = carried.object.name, carried.object, True
         for node in [node for node, (item, _) in self._drawn.items() if node not in wanted or wanted[node][1] != item]:
@@ -37,15 +37,15 @@ class SceneView:
                 handle.remove()
         for node, (name, item, carried_too) in wanted.items():
             if node not in self._drawn:
-                brush = Brush(self._desk.server.scene, CARRIED if carried_too else OBJECT, 0.9)
+                brush = Brush(self._panels.server.scene, CARRIED if carried_too else OBJECT, 0.9)
                 handle = draw_object(brush, node, item, self._meshes)
                 self._drawn[node] = item, handle
                 if handle is None:
-                    self._desk.note(f"{name} is not drawn: its mesh is in none of the viewer's --meshes folders")
+                    self._panels.note(f"{name} is not drawn: its mesh is in none of the viewer's --meshes folders")
 
     def place(self, name: str, at: SE3) -> None:
         """Show an object at another pose during a drag; the next scene has its true pose."""
-        _, handle = self._drawn.get(f"{self._desk.root}/scene/{name}", (None, None))
+        _, handle = self._drawn.get(f"{self._panels.root}/scene/{name}", (None, None))
         if handle is not None:
             handle.position, handle.wxyz = at.translation(), at.rotation().wxyz
 
@@ -54,7 +54,7 @@ class SceneView:
         found = {
             item.name: distance(origin, direction, handle)
             for node, (item, handle) in self._drawn.items()
-            if handle is not None and node.startswith(f"{self._desk.root}/scene/")
+            if handle is not None and node.startswith(f"{self._panels.root}/scene/")
         }
         nearest = min(found, key=found.__getitem__, default=None)
         return nearest if nearest is not None and found[nearest] < np.inf else None

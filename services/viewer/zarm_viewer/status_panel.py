@@ -13,7 +13,7 @@ from zarm.servoing import limited
 from zarm_contract.errors import MEANINGS, InvalidRequest
 from zarm_contract.messages import ExecutorState, GoalState, Plan, ServoState
 from zarm_viewer.controls import put
-from zarm_viewer.desk import Desk
+from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.watching import News
 
 LINES = 5
@@ -27,10 +27,10 @@ LOOK = 1.0
 class StatusPanel:
     """Mode, strategy, goal, progress, what limits the robot, the last plan's figures, faults."""
 
-    def __init__(self, desk: Desk) -> None:
-        self._desk = desk
-        self._text = desk.server.gui.add_html(_html(["<i>waiting for the robot</i>"]))
-        self._progress = desk.server.gui.add_progress_bar(0.0)
+    def __init__(self, panels: PanelContext) -> None:
+        self._panels = panels
+        self._text = panels.server.gui.add_html(_html(["<i>waiting for the robot</i>"]))
+        self._progress = panels.server.gui.add_progress_bar(0.0)
         self._state: ExecutorState | None = None
         self._goal: GoalState | None = None
         self._plan: Plan | None = None
@@ -40,12 +40,12 @@ class StatusPanel:
         """Show what has changed; `age` (s) is that of the newest joint state."""
         if news.state is not None:
             if news.state.problem is not None and (self._state is None or news.state.problem != self._state.problem):
-                self._desk.note(f"**fault** {news.state.problem.message}")
+                self._panels.note(f"**fault** {news.state.problem.message}")
             self._state = news.state
         for goal in news.goals:
             if self._goal is None or (goal.goal_id, goal.status) != (self._goal.goal_id, self._goal.status):
                 why = f": {goal.problem.message}" if goal.problem else ""
-                self._desk.note(f"{goal.goal_id} {goal.status}{why}")
+                self._panels.note(f"{goal.goal_id} {goal.status}{why}")
             self._goal = goal
         self._plan = news.plan or self._plan
         self._servo = news.servo or self._servo
@@ -109,9 +109,9 @@ def _plan(plan: Plan) -> list[str]:
 class EventsPanel:
     """The event log, newest first, and the fault records in the folder `records`, if the executor is on this machine."""
 
-    def __init__(self, desk: Desk, records: Path) -> None:
-        self._desk, self._records = desk, records
-        gui = desk.server.gui
+    def __init__(self, panels: PanelContext, records: Path) -> None:
+        self._panels, self._records = panels, records
+        gui = panels.server.gui
         self._choice = gui.add_dropdown("record", ["-"], visible=False)
         self._download = gui.add_button(
             "Download", icon=Icon.DOWNLOAD, visible=False, hint="`zarm replay --view FILE` plays it on a page"
@@ -119,16 +119,16 @@ class EventsPanel:
 
         @self._download.on_click
         def _(event: GuiEvent[GuiButtonHandle]) -> None:
-            desk.attempt("download", lambda: self._send(event.client), event.client)
+            panels.attempt("download", lambda: self._send(event.client), event.client)
 
         self._text = gui.add_markdown("")
         self._shown = ""
         self._look = 0.0
-        desk.note(f"page opened on {desk.name}, {time.strftime('%Y-%m-%d')}")
+        panels.note(f"page opened on {panels.name}, {time.strftime('%Y-%m-%d')}")
 
     def draw(self) -> None:
         """Show new events and records."""
-        text = "  \n".join(list(self._desk.events))
+        text = "  \n".join(list(self._panels.events))
         if text != self._shown:
             self._text.content = self._shown = text
         if (now := time.monotonic()) > self._look:

@@ -8,8 +8,8 @@ from viser import LabelHandle, TransformControlsHandle
 from viser.transforms import SE3
 
 from zarm.values import Pose, pose_of
-from zarm_viewer.desk import Desk
 from zarm_viewer.kinematics import message_of, pose_at
+from zarm_viewer.panel_context import PanelContext
 
 
 class _Handle(NamedTuple):
@@ -20,14 +20,14 @@ class _Handle(NamedTuple):
 class WaypointHandles:
     """Poses of the tip, passed in the order of their numbers before the goal is reached."""
 
-    def __init__(self, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, panels: PanelContext) -> None:
+        self._panels = panels
         self._handles: list[_Handle] = []
 
     def add(self, pose: SE3) -> None:
         """Add one after the others."""
-        scene, number = self._desk.server.scene, len(self._handles) + 1
-        node = f"{self._desk.root}/waypoint_{number}"
+        scene, number = self._panels.server.scene, len(self._handles) + 1
+        node = f"{self._panels.root}/waypoint_{number}"
         gizmo = scene.add_transform_controls(
             node,
             scale=0.22,

@@ -79,9 +79,9 @@ def test_where_the_descriptor_says_so_the_next_goal_leaves_a_fault_whose_reason_
     robot = forgiving(tmp_path / "robot")
     with driven(bus, endpoint, tmp_path, "joint_speed", robot=robot, waited_for=False) as arm:
         arm.client.under_way(arm.client.execute(THERE))
-        arm.suffer(DriverFault(silent=True))
+        arm.set_fault(DriverFault(silent=True))
         arm.fault("driver_stalled")
-        arm.suffer(DriverFault())
+        arm.set_fault(DriverFault())
         goal = rest_to_rest(HOME, arm.at_rest(), slower=1.5)
         assert arm.client.ended(arm.client.execute(goal)).status == "succeeded"
         assert arm.client.state().problem is None

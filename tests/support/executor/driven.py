@@ -60,7 +60,7 @@ class Driven:
         arguments = ("--strategy", self.strategy)
         return ServiceProcess("executor", self.endpoint, self.folder, self._descriptor, arguments=arguments)
 
-    def suffer(self, fault: DriverFault) -> None:
+    def set_fault(self, fault: DriverFault) -> None:
         """Give the driver a fault."""
         self.bus.call(self.keys.simulated_fault, fault, timeout=10)
 

@@ -95,16 +95,16 @@ def test_work_that_goes_on_is_left_to_itself() -> None:
 
     threading.Thread(target=interrupt).start()
     with pytest.raises(KeyboardInterrupt):
-        interrupts.attend(work)
+        interrupts.run_interruptibly(work)
     may_end.set()
     assert ended.wait(10)
 
 
 def test_work_is_told_of_as_it_ends() -> None:
-    assert interrupts.attend(lambda: 7) == 7
+    assert interrupts.run_interruptibly(lambda: 7) == 7
     with pytest.raises(ZeroDivisionError):
-        interrupts.attend(lambda: 1 // 0)
-    assert interrupts.attend(lambda: None) is None
+        interrupts.run_interruptibly(lambda: 1 // 0)
+    assert interrupts.run_interruptibly(lambda: None) is None
 
 
 def test_what_has_come_before_the_signal_is_not_lost() -> None:
@@ -160,6 +160,6 @@ def test_a_third_signal_counts_once_what_is_asked_for_has_had_its_time() -> None
     for _ in range(3):
         signal.raise_signal(signal.SIGINT)
     with interrupts.insist(Told()):
-        assert interrupts.attend(lambda: 7) == 7
+        assert interrupts.run_interruptibly(lambda: 7) == 7
         with pytest.raises(KeyboardInterrupt):
             interrupts.pause()

@@ -135,10 +135,10 @@ def test_links_that_are_near_to_each_other_everywhere_keep_what_they_can_of_a_ma
     assert check.check(TIMES, TURN, margin=0.05).free
     nearest = check.nearby(HOME, within=0.05)[0]
     assert {nearest.link, nearest.object} == {"base_link", "link_2"}
-    assert nearest.room < nearest.distance < 0.05
+    assert nearest.kept_margin < nearest.distance < 0.05
     box = Cuboid(kind="cuboid", name="box", position=(1.0, 0.0, 1.0), size=(0.1, 0.1, 0.1))
     check.update([box])
-    assert next(pair for pair in check.nearby(HOME, within=2.0) if pair.object == "box").room == np.inf
+    assert next(pair for pair in check.nearby(HOME, within=2.0) if pair.object == "box").kept_margin == np.inf
 
 
 HOME = np.array(model("doosan_m1013").robot.descriptor.home)

@@ -54,9 +54,9 @@ def test_merged_boxes_cover_exactly_the_cells_each_once(count: int) -> None:
 def test_a_full_block_is_one_box_and_a_room_is_a_few() -> None:
     block = np.argwhere(np.ones((20, 30, 10), bool)) - 15
     assert [ends.tolist() for ends in merged(block)] == [[[-15, -15, -15]], [[4, 14, -6]]]
-    room = np.ones((20, 30, 10), bool)
-    room[1:-1, 1:-1, 1:-1] = False
-    assert len(merged(np.argwhere(room))[0]) == 6
+    kept_margin = np.ones((20, 30, 10), bool)
+    kept_margin[1:-1, 1:-1, 1:-1] = False
+    assert len(merged(np.argwhere(kept_margin))[0]) == 6
 
 
 def test_the_furthest_cells_are_told_apart() -> None:

@@ -35,7 +35,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 Array = NDArray[np.float64]
 
 MODELS = {name: RobotModel.of(load_robot(name)) for name in ("panda", "doosan_m1013")}
-ROOM = 0.001
+KEPT_MARGIN = 0.001
 """Metres that the robot has to the boards below and above its tool."""
 SEEDS = 20
 
@@ -51,13 +51,13 @@ def board(model: RobotModel, q: Array, side: int, width: float = 0.5) -> Cuboid 
     def gap(height: float) -> float:
         return ExactScene(model, World([at(height)], 0.0)).nearest(q, itself=False).distance
 
-    near = next((height for height in np.arange(0.5, 0.0, -0.01).tolist() if gap(height) < ROOM), 0.5)
+    near = next((height for height in np.arange(0.5, 0.0, -0.01).tolist() if gap(height) < KEPT_MARGIN), 0.5)
     if near == 0.5:
         return None
     far = near + 0.01
     for _ in range(16):
         middle = (near + far) / 2
-        near, far = (middle, far) if gap(middle) < ROOM else (near, middle)
+        near, far = (middle, far) if gap(middle) < KEPT_MARGIN else (near, middle)
     return at(far)
 
 
@@ -72,7 +72,7 @@ def shelves(name: str) -> Iterator[tuple[Array, PlanningScene]]:
         boards = [item for side in (-1, 1) if (item := board(model, q, side))]
         world = World(boards, 0.005)
         exact = ExactScene(model, world)
-        if len(boards) == 2 and exact.nearest(q).distance > 0.9 * ROOM and is_free(model, world, home):
+        if len(boards) == 2 and exact.nearest(q).distance > 0.9 * KEPT_MARGIN and is_free(model, world, home):
             yield q, PlanningScene("1-000000000000", model, world, exact)
 
 

@@ -50,5 +50,5 @@ def test_a_key_that_has_a_name_on_ros_is_told_by_it_and_all_else_as_it_is(said: 
         raise Unavailable(said, field="start")
 
     with pytest.raises(Unavailable) as refused:
-        Translated(TERMS).attend(refuse)
+        Translated(TERMS).run_interruptibly(refuse)
     assert (refused.value.problem.message, refused.value.problem.field) == (told, "start")

@@ -67,7 +67,7 @@ class Standing:
         return JointState(stamp=max_age, joint_names=JOINTS, position=tuple(HOME), velocity=(speed,) * len(JOINTS))
 
 
-class Desk:
+class PanelContext:
     """Planner and executor as the test has them answer; what they were asked."""
 
     def __init__(self) -> None:
@@ -103,8 +103,8 @@ def goal(progress: float, *, held: bool = False) -> GoalState:
 
 
 @pytest.fixture
-def desk() -> Desk:
-    return Desk()
+def panels() -> PanelContext:
+    return PanelContext()
 
 
 @pytest.fixture(scope="module")
@@ -117,9 +117,9 @@ def checker() -> Checker:
 
 
 @pytest.fixture
-def replanner(desk: Desk, checker: Checker) -> Iterator[Replanner]:
+def replanner(panels: PanelContext, checker: Checker) -> Iterator[Replanner]:
     with Replanner(
-        ROBOT, checker, desk.monitor, desk.moving, desk.measured, desk.ask, desk.replace, Metrics()
+        ROBOT, checker, panels.monitor, panels.moving, panels.measured, panels.ask, panels.replace, Metrics()
     ) as running:
         running.hear_goal("", goal(0.2))
         yield running
@@ -130,11 +130,11 @@ def refuse() -> None:
 
 
 def test_a_blocked_goal_is_planned_from_a_state_ahead_to_its_end_no_faster_than_it_was(
-    desk: Desk, replanner: Replanner
+    panels: PanelContext, replanner: Replanner
 ) -> None:
     replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
-    (replaced,) = eventually(lambda: list(desk.replaced), "the trajectory is replaced")
-    (request,) = desk.asked
+    (replaced,) = eventually(lambda: list(panels.replaced), "the trajectory is replaced")
+    (request,) = panels.asked
     assert replaced.at is not None
     assert (replaced.goal_id, replaced.number, replaced.scene_revision) == ("goal-1", 1, SCENE)
     assert replaced.at >= 0.2 * PATH.duration + SHORTEST
@@ -146,92 +146,92 @@ def test_a_blocked_goal_is_planned_from_a_state_ahead_to_its_end_no_faster_than_
 
 
 def test_a_pose_that_other_joints_reach_is_gone_to_where_something_stands_at_the_joints(
-    desk: Desk, replanner: Replanner
+    panels: PanelContext, replanner: Replanner
 ) -> None:
     def planner() -> Plan:
-        if desk.asked[-1].goal.kind == "joints":
+        if panels.asked[-1].goal.kind == "joints":
             raise PlanningFailed("something stands there", code="goal_in_collision")
         return PLAN
 
-    desk.planner = planner
+    panels.planner = planner
     tip = Pose(position=(0.4, 0.0, 0.6))
     replanner.see(FOLLOWED.model_copy(update={"tip": tip}), PATH, PATH.duration - 0.1)
-    eventually(lambda: desk.replaced, "the trajectory is replaced")
-    goal = desk.asked[-1].goal
+    eventually(lambda: panels.replaced, "the trajectory is replaced")
+    goal = panels.asked[-1].goal
     assert isinstance(goal, PoseGoal)
     assert goal.poses == (tip,)
 
 
 def test_what_comes_too_late_is_planned_again_from_a_later_state_and_then_the_robot_stops_first(
-    desk: Desk, replanner: Replanner
+    panels: PanelContext, replanner: Replanner
 ) -> None:
-    desk.executor = refuse
+    panels.executor = refuse
     replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
-    eventually(lambda: len(desk.asked) == 4, "it was tried four times")
-    leads = [request.timeout for request in desk.asked]
+    eventually(lambda: len(panels.asked) == 4, "it was tried four times")
+    leads = [request.timeout for request in panels.asked]
     assert leads == sorted(leads)
     assert leads[-1] <= LONGEST
-    desk.executor = lambda: None
-    desk.measured.rests = True
+    panels.executor = lambda: None
+    panels.measured.rests = True
     replanner.hear_goal("", goal(0.5, held=True))
 
     def again() -> list[ReplaceTrajectory]:
         replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
-        return desk.replaced
+        return panels.replaced
 
     (replaced,) = eventually(again, "it is replaced at rest")
     assert replaced.at is None
-    assert desk.asked[-1].start_state is None
+    assert panels.asked[-1].start_state is None
 
 
 @pytest.mark.parametrize(
     "failure", [PlanningFailed("no way", code="no_path"), DeadlineExceeded("slow", code="timeout")]
 )
-def test_without_a_plan_nothing_is_replaced(desk: Desk, replanner: Replanner, failure: Exception) -> None:
+def test_without_a_plan_nothing_is_replaced(panels: PanelContext, replanner: Replanner, failure: Exception) -> None:
     def fail() -> Plan:
         raise failure
 
-    desk.planner = fail
+    panels.planner = fail
     replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
-    eventually(lambda: desk.asked, "the planner was asked")
-    assert not desk.replaced
+    eventually(lambda: panels.asked, "the planner was asked")
+    assert not panels.replaced
 
 
-def test_a_plan_that_is_not_free_in_a_newer_scene_is_not_followed(desk: Desk, replanner: Replanner) -> None:
+def test_a_plan_that_is_not_free_in_a_newer_scene_is_not_followed(panels: PanelContext, replanner: Replanner) -> None:
     def overtaken() -> Plan:
         middle = RobotModel.of(ROBOT).fk_tip(PATH.positions(np.array([PATH.duration / 2]))[0])[:3, 3]
         ball = Sphere(kind="sphere", name="ball", position=tuple(middle.tolist()), radius=0.1)
         newer = f"{int(SCENE.partition('-')[0]) + 1}-{SCENE.partition('-')[2]}"
-        desk.monitor.hear_scene("", Scene(revision=newer, objects=(ball,)))
+        panels.monitor.hear_scene("", Scene(revision=newer, objects=(ball,)))
         return PLAN
 
-    desk.planner = overtaken
+    panels.planner = overtaken
     replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
-    eventually(lambda: len(desk.asked) > 1, "it was tried again")
-    assert not desk.replaced
+    eventually(lambda: len(panels.asked) > 1, "it was tried again")
+    assert not panels.replaced
 
 
-def test_a_plan_that_is_not_free_of_what_moves_is_not_followed(desk: Desk, replanner: Replanner) -> None:
+def test_a_plan_that_is_not_free_of_what_moves_is_not_followed(panels: PanelContext, replanner: Replanner) -> None:
     ball = Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 9.0), radius=0.1)
-    desk.monitor.hear_scene("", Scene(revision=SCENE, objects=(ball,)))
+    panels.monitor.hear_scene("", Scene(revision=SCENE, objects=(ball,)))
     middle = RobotModel.of(ROBOT).fk_tip(PATH.positions(np.array([PATH.duration / 2]))[0])[:3, 3]
     pose = ObjectPose(stamp=time.time(), position=tuple(middle.tolist()), speed=0.1)
-    desk.moving.tell("ball", encode(pose), time.monotonic(), time.time())
+    panels.moving.tell("ball", encode(pose), time.monotonic(), time.time())
     replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
-    eventually(lambda: len(desk.asked) > 1, "it was tried again")
-    assert not desk.replaced
+    eventually(lambda: len(panels.asked) > 1, "it was tried again")
+    assert not panels.replaced
 
 
 def test_a_goal_that_is_blocked_before_a_plan_could_take_over_is_not_planned_in_motion(
-    desk: Desk, replanner: Replanner
+    panels: PanelContext, replanner: Replanner
 ) -> None:
-    desk.measured.rests = True
+    panels.measured.rests = True
     replanner.hear_goal("", goal(0.2, held=True))
     replanner.see(FOLLOWED, PATH, 0.2 * PATH.duration)
 
     def again() -> list[ReplaceTrajectory]:
         replanner.see(FOLLOWED, PATH, 0.2 * PATH.duration)
-        return desk.replaced
+        return panels.replaced
 
     (replaced,) = eventually(again, "it is replaced at rest")
     assert replaced.at is None

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import SHAPE, Pointer, Single
+from zarm_geometry.kernels.clearance_search import ClearanceSearch, Obstacles, RobotParts, push
 from zarm_geometry.kernels.collision import in_box, squared_distance
 from zarm_geometry.kernels.compiled import inlined
-from zarm_geometry.kernels.course import Course, Obstacles, RobotParts, push
 from zarm_geometry.kernels.placing import FRAME, place_joints, place_points
 from zarm_geometry.kernels.simd import (
     LANES,
@@ -157,14 +157,14 @@ def _measure_travel(view: _View, link: int) -> None:
 
 
 @inlined
-def _reach(room: Lanes, travel: Lanes, more: float) -> Lanes:
-    """`room` and `more` (m), or 0 in the lanes that are known to be near: where the room is no more than `travel`."""
-    return where_positive(room - travel, room + more)
+def _reach(clearance: Lanes, travel: Lanes, more: float) -> Lanes:
+    """`clearance` and `more` (m), or 0 in the lanes that are known to be near: where the clearance is no more than `travel`."""
+    return where_positive(clearance - travel, clearance + more)
 
 
 @inlined
-def _to_world(view: _View, link: int, travel: Lanes, room: Lanes) -> Lanes:
-    """The distance (m) of a link to the world in the middle of each interval, if it is less than `room`.
+def _to_world(view: _View, link: int, travel: Lanes, clearance: Lanes) -> Lanes:
+    """The distance (m) of a link to the world in the middle of each interval, if it is less than `clearance`.
 
     Lanes in which it is found to be less than `travel` are not looked at further.
     """
@@ -178,7 +178,7 @@ def _to_world(view: _View, link: int, travel: Lanes, room: Lanes) -> Lanes:
         while node < view.nodes:
             while node >= view.until[level]:
                 level -= 1
-            if in_box(view.boxes, node, x, y, z, _reach(room, travel, view.bounds[5 * link + 3])) == 0:
+            if in_box(view.boxes, node, x, y, z, _reach(clearance, travel, view.bounds[5 * link + 3])) == 0:
                 node = view.skip[node]
                 continue
             active, reached = view.active[level], np.uint64(0)
@@ -188,7 +188,7 @@ def _to_world(view: _View, link: int, travel: Lanes, room: Lanes) -> Lanes:
                 active ^= bit
                 at = 3 * ball * LANES
                 bx, by, bz = load(view.centers, at), load(view.centers, at + LANES), load(view.centers, at + 2 * LANES)
-                if in_box(view.boxes, node, bx, by, bz, _reach(room, travel, view.balls[4 * ball + 3])) != 0:
+                if in_box(view.boxes, node, bx, by, bz, _reach(clearance, travel, view.balls[4 * ball + 3])) != 0:
                     reached |= bit
             if reached == 0:
                 node = view.skip[node]
@@ -206,29 +206,29 @@ def _to_world(view: _View, link: int, travel: Lanes, room: Lanes) -> Lanes:
                 bx, by, bz = load(view.centers, at), load(view.centers, at + LANES), load(view.centers, at + 2 * LANES)
                 apart = squared_distance(view.shapes, shape, bx, by, bz)
                 radii = view.balls[4 * ball + 3] + view.shapes[shape + 16]
-                reach = _reach(room, travel, radii)
+                reach = _reach(clearance, travel, radii)
                 if below(apart, reach * reach) != 0:
-                    room = smaller(room, root(apart) - radii)
-    return room
+                    clearance = smaller(clearance, root(apart) - radii)
+    return clearance
 
 
 @inlined
-def _to_each_other(view: _View, one: int, other: int, travel: Lanes, room: Lanes) -> Lanes:
+def _to_each_other(view: _View, one: int, other: int, travel: Lanes, clearance: Lanes) -> Lanes:
     """The same for two links."""
     at = 3 * one * LANES
     ax, ay, az = load(view.around, at), load(view.around, at + LANES), load(view.around, at + 2 * LANES)
     at = 3 * other * LANES
     x, y, z = ax - load(view.around, at), ay - load(view.around, at + LANES), az - load(view.around, at + 2 * LANES)
     beyond = view.bounds[5 * one + 3]
-    reach = room + (beyond + view.bounds[5 * other + 3])
+    reach = clearance + (beyond + view.bounds[5 * other + 3])
     if below(x * x + y * y + z * z, reach * reach) == 0:
-        return room
+        return clearance
     for j in range(view.first[other], view.first[other + 1]):
         at = 3 * j * LANES
         bx, by, bz = load(view.centers, at), load(view.centers, at + LANES), load(view.centers, at + 2 * LANES)
         radius = view.balls[4 * j + 3]
         x, y, z = ax - bx, ay - by, az - bz
-        reach = _reach(room, travel, beyond + radius)
+        reach = _reach(clearance, travel, beyond + radius)
         if below(x * x + y * y + z * z, reach * reach) == 0:
             continue
         for i in range(view.first[one], view.first[one + 1]):
@@ -240,10 +240,10 @@ def _to_each_other(view: _View, one: int, other: int, travel: Lanes, room: Lanes
             )
             apart = x * x + y * y + z * z
             radii = view.balls[4 * i + 3] + radius
-            reach = _reach(room, travel, radii)
+            reach = _reach(clearance, travel, radii)
             if below(apart, reach * reach) != 0:
-                room = smaller(room, root(apart) - radii)
-    return room
+                clearance = smaller(clearance, root(apart) - radii)
+    return clearance
 
 
 @inlined
@@ -252,7 +252,7 @@ def push_near(
     cover: Cover,
     world: Obstacles,
     shapes: Single,
-    course: Course,
+    search: ClearanceSearch,
     asked: NDArray[np.bool_],
     enough: float,
     batch: Batch,
@@ -263,7 +263,7 @@ def push_near(
     `shapes` (n, 17): the rows of `world` in single precision. The caller allocates the `batch`: an array of which only
     a pointer is used is freed at once.
     """
-    samples, dof = course.q.shape
+    samples, dof = search.q.shape
     links, angle, way, least = cover.around.shape[0], batch.angle, batch.way, batch.least
     view = _View(
         dof,
@@ -285,8 +285,8 @@ def push_near(
         pointer(batch.centers),
         pointer(batch.around),
         pointer(batch.travel),
-        pointer(course.active),
-        pointer(course.until),
+        pointer(search.active),
+        pointer(search.until),
     )
     error = ERROR + 10.0 * world.slack
     wanted = np.float32(enough + error)
@@ -296,12 +296,12 @@ def push_near(
             low, high = (first + lane) * samples // blocks, (first + lane + 1) * samples // blocks
             k = (low + high) // 2
             for joint in range(dof):
-                q = course.q[k, joint]
+                q = search.q[k, joint]
                 if cover.revolute[joint] != 0:
                     q -= 2.0 * math.pi * round(q / (2.0 * math.pi))
                 angle[joint * LANES + lane] = q
-                moved = course.moved[k, joint]
-                before, after = moved - course.moved[low, joint], course.moved[high - 1, joint] - moved
+                moved = search.moved[k, joint]
+                before, after = moved - search.moved[low, joint], search.moved[high - 1, joint] - moved
                 way[joint * LANES + lane] = max(before, after)
         _place(view)
         for link in range(links):
@@ -315,12 +315,12 @@ def push_near(
             travel = splat(0.0)
             if view.link_joint[one] >= 0:
                 travel = load(view.travel, (one * dof + beyond) * LANES)
-            room = travel + wanted
+            clearance = travel + wanted
             if subject < links:
-                found = _to_world(view, subject, travel, room)
+                found = _to_world(view, subject, travel, clearance)
             else:
-                found = _to_each_other(view, one, body.pairs[subject - links, 0], travel, room)
-            near = below(found, room)
+                found = _to_each_other(view, one, body.pairs[subject - links, 0], travel, clearance)
+            near = below(found, clearance)
             if near == 0:
                 continue
             store(pointer(least), 0, found - travel)
@@ -328,4 +328,4 @@ def push_near(
                 if (near >> np.uint32(lane)) & np.uint32(1):
                     low, high = (first + lane) * samples // blocks, (first + lane + 1) * samples // blocks
                     bound = least[lane] - error if least[lane] > 0.0 else -np.inf
-                    push(course, bound, subject, low, high)
+                    push(search, bound, subject, low, high)

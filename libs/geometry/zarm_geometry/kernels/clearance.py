@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import Single
 from zarm_geometry.kernels.broad_phase import FEW, Cover, make_batch, push_near
+from zarm_geometry.kernels.clearance_search import ClearanceSearch, Obstacles, RobotParts, drop_top, place, push
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.convex import PRECISION, Extents, Turn, Vector, core_distance, core_gap, turned, turned_back
-from zarm_geometry.kernels.course import Course, Obstacles, RobotParts, drop_top, place, push
 from zarm_geometry.kernels.simd import lowest_bit
 
 Array = NDArray[np.float64]
@@ -35,9 +35,9 @@ _PARTS = 64
 
 
 @inlined
-def _arm(course: Course, slot: int, joint: int, x: float, y: float, z: float) -> float:
+def _arm(search: ClearanceSearch, slot: int, joint: int, x: float, y: float, z: float) -> float:
     """Distance (m) of a point from the axis of a joint at the sample in a slot."""
-    a = course.axes
+    a = search.axes
     dx, dy, dz = x - a[slot, joint, 3], y - a[slot, joint, 4], z - a[slot, joint, 5]
     along = dx * a[slot, joint, 0] + dy * a[slot, joint, 1] + dz * a[slot, joint, 2]
     return math.sqrt(max(dx * dx + dy * dy + dz * dz - along * along, 0.0))
@@ -45,7 +45,7 @@ def _arm(course: Course, slot: int, joint: int, x: float, y: float, z: float) ->
 
 @inlined
 def _travel(
-    body: RobotParts, course: Course, subject: int, stretch: Stretch, x: float, y: float, z: float, core: float
+    body: RobotParts, search: ClearanceSearch, subject: int, stretch: Stretch, x: float, y: float, z: float, core: float
 ) -> Kept:
     """Upper bounds (m) on how far the points within `core` (m) of a point of a subject move from the first sample of an
     interval to its middle, and from there to the last. At the middle the point is at x, y, z (base frame).
@@ -54,7 +54,7 @@ def _travel(
     distance by as much as they move the points, but it never exceeds `RobotParts.reach`.
     """
     low, k, high, slot = stretch
-    moved = course.moved
+    moved = search.moved
     before, after = 0.0, 0.0
     for joint in range(body.reach.shape[1] - 1, -1, -1):
         reach = body.reach[subject, joint]
@@ -62,7 +62,7 @@ def _travel(
             continue
         earlier, later = reach, reach
         if body.revolute[joint]:
-            arm = _arm(course, slot, joint, x, y, z) + core
+            arm = _arm(search, slot, joint, x, y, z) + core
             earlier, later = min(reach, arm + before), min(reach, arm + after)
         before += earlier * (moved[k, joint] - moved[low, joint])
         after += later * (moved[high, joint] - moved[k, joint])
@@ -70,22 +70,24 @@ def _travel(
 
 
 @inlined
-def _rate(body: RobotParts, course: Course, stretch: Stretch, i: int, first: int, last: int, step: int) -> None:
-    """Write to `course.rates` upper bounds on how far each joint from `first` to `last` moves a part, in m/rad (1 for
+def _rate(
+    body: RobotParts, search: ClearanceSearch, stretch: Stretch, i: int, first: int, last: int, step: int
+) -> None:
+    """Write to `search.rates` upper bounds on how far each joint from `first` to `last` moves a part, in m/rad (1 for
     prismatic joints), before and after the middle of an interval.
 
     The loop starts at the joint next to the part: the joints already visited may carry the part further away from the
     axis of the next one.
     """
     low, k, high, slot = stretch
-    rates, moved = course.rates, course.moved
+    rates, moved = search.rates, search.moved
     core = body.extents[i, 5] - body.extents[i, 4]
-    x, y, z = course.centers[i, 0], course.centers[i, 1], course.centers[i, 2]
+    x, y, z = search.centers[i, 0], search.centers[i, 1], search.centers[i, 2]
     before, after = 0.0, 0.0
     for joint in range(first, last + step, step):
         earlier, later = 1.0, 1.0
         if body.revolute[joint]:
-            arm = _arm(course, slot, joint, x, y, z) + core
+            arm = _arm(search, slot, joint, x, y, z) + core
             earlier, later = arm + before, arm + after
         rates[i, joint, 0], rates[i, joint, 1] = earlier, later
         before += earlier * (moved[k, joint] - moved[low, joint])
@@ -112,17 +114,17 @@ def _at(frames: Array, slot: int, link: int, x: float, y: float, z: float) -> Ve
 
 
 @inlined
-def _place_parts(body: RobotParts, course: Course, slot: int, link: int) -> None:
+def _place_parts(body: RobotParts, search: ClearanceSearch, slot: int, link: int) -> None:
     """Compute the centres of a link's parts in the base frame at the sample in a slot."""
     for i in range(body.first[link], body.first[link + 1]):
-        x, y, z = _at(course.frames, slot, link, body.pose[i, 0, 3], body.pose[i, 1, 3], body.pose[i, 2, 3])
-        course.centers[i, 0], course.centers[i, 1], course.centers[i, 2] = x, y, z
+        x, y, z = _at(search.frames, slot, link, body.pose[i, 0, 3], body.pose[i, 1, 3], body.pose[i, 2, 3])
+        search.centers[i, 0], search.centers[i, 1], search.centers[i, 2] = x, y, z
 
 
 @inlined
-def _part_turn(body: RobotParts, course: Course, slot: int, link: int, i: int) -> Turn:
+def _part_turn(body: RobotParts, search: ClearanceSearch, slot: int, link: int, i: int) -> Turn:
     """The axes of a part in the base frame at the sample in a slot."""
-    f = course.frames
+    f = search.frames
     turn = (
         f[slot, link, 0, 0], f[slot, link, 0, 1], f[slot, link, 0, 2],
         f[slot, link, 1, 0], f[slot, link, 1, 1], f[slot, link, 1, 2],
@@ -193,7 +195,7 @@ def _closest_row(world: Obstacles, x: float, y: float, z: float, within: float) 
 
 @inlined
 def _to_row(
-    body: RobotParts, world: Obstacles, course: Course, link: int, slot: int, i: int, row: int, limit: float
+    body: RobotParts, world: Obstacles, search: ClearanceSearch, link: int, slot: int, i: int, row: int, limit: float
 ) -> tuple[float, float]:
     """Lower and upper bound (m) on the distance of a part to an obstacle. Once the lower one reaches `limit` (m) it
     need not be tight, and the upper one may be infinite.
@@ -203,7 +205,7 @@ def _to_row(
     turn = (
         r[row, 0], r[row, 1], r[row, 2], r[row, 4], r[row, 5], r[row, 6], r[row, 8], r[row, 9], r[row, 10],
     )  # fmt: skip
-    x, y, z = turned(turn, (course.centers[i, 0], course.centers[i, 1], course.centers[i, 2]))
+    x, y, z = turned(turn, (search.centers[i, 0], search.centers[i, 1], search.centers[i, 2]))
     center = (x + r[row, 3], y + r[row, 7], z + r[row, 11])
     apart = core_distance(center, core)
     least: float = apart - rounding - body.extents[i, 5]
@@ -211,7 +213,7 @@ def _to_row(
         return least, math.inf
     if body.extents[i, 4] == body.extents[i, 5] and apart > 0.0:
         return least, least
-    own = _part_turn(body, course, slot, link, i)
+    own = _part_turn(body, search, slot, link, i)
     u = turned(turn, (own[0], own[3], own[6]))
     v = turned(turn, (own[1], own[4], own[7]))
     w = turned(turn, (own[2], own[5], own[8]))
@@ -223,22 +225,22 @@ def _to_row(
 
 @inlined
 def _to_box(
-    body: RobotParts, world: Obstacles, course: Course, link: int, slot: int, i: int, node: int, limit: float
+    body: RobotParts, world: Obstacles, search: ClearanceSearch, link: int, slot: int, i: int, node: int, limit: float
 ) -> float:
     """A lower bound (m) on the distance of a part to the box of a node; below `limit` (m) it is exact for balls only."""
     b = world.boxes
     half = (b[node, 3] + world.slack, b[node, 4] + world.slack, b[node, 5] + world.slack, 0.0)
     center = (
-        course.centers[i, 0] - b[node, 0],
-        course.centers[i, 1] - b[node, 1],
-        course.centers[i, 2] - b[node, 2],
+        search.centers[i, 0] - b[node, 0],
+        search.centers[i, 1] - b[node, 1],
+        search.centers[i, 2] - b[node, 2],
     )
     apart: float = core_distance(center, half) - body.extents[i, 5]
     if apart >= limit or body.extents[i, 4] == body.extents[i, 5]:
         return apart
     rounding = body.extents[i, 4]
     lower, _, _ = core_gap(
-        center, _part_turn(body, course, slot, link, i), _core(body.extents, i, 0), half, limit + rounding
+        center, _part_turn(body, search, slot, link, i), _core(body.extents, i, 0), half, limit + rounding
     )
     kept: float = max(apart, lower - rounding)
     return kept
@@ -248,7 +250,7 @@ def _to_box(
 def _to_world(
     body: RobotParts,
     world: Obstacles,
-    course: Course,
+    search: ClearanceSearch,
     found: Array,
     link: int,
     k: int,
@@ -265,24 +267,24 @@ def _to_world(
     """
     lowest = nearest = enough
     a = body.around
-    cx, cy, cz = _at(course.frames, slot, link, a[link, 0], a[link, 1], a[link, 2])
+    cx, cy, cz = _at(search.frames, slot, link, a[link, 0], a[link, 1], a[link, 2])
     closest = _closest_row(world, cx, cy, cz, max(best, enough, 0.0) + a[link, 3])
     if closest < 0:
         return lowest, found, best
-    _place_parts(body, course, slot, link)
+    _place_parts(body, search, slot, link)
     for i in range(body.first[link], body.first[link + 1]):
-        lower, upper = _to_row(body, world, course, link, slot, i, closest, max(best, nearest, 0.0))
+        lower, upper = _to_row(body, world, search, link, slot, i, closest, max(best, nearest, 0.0))
         nearest = min(nearest, lower)
         found, best = _note(found, lower, upper, i, closest, k, best)
     lowest = nearest
     nodes = world.boxes.shape[0]
     for first in range(body.first[link], body.first[link + 1], _PARTS):
         count = min(body.first[link + 1] - first, _PARTS)
-        course.active[0] = ~np.uint64(0) >> np.uint64(_PARTS - count)
-        course.until[0] = nodes
+        search.active[0] = ~np.uint64(0) >> np.uint64(_PARTS - count)
+        search.until[0] = nodes
         level, node = 0, 0
         while node < nodes:
-            while node >= course.until[level]:
+            while node >= search.until[level]:
                 level -= 1
             limit = max(best, (1.0 - ROUGH) * nearest, 0.0)
             apart = _box_distance(world, node, cx, cy, cz)
@@ -293,12 +295,12 @@ def _to_world(
                     lowest = math.sqrt(apart) - a[link, 3]
                 node = world.skip[node]
                 continue
-            active, near = course.active[level], np.uint64(0)
+            active, near = search.active[level], np.uint64(0)
             while active != 0:
                 i = first + lowest_bit(active)
                 bit = active & (~active + np.uint64(1))
                 active ^= bit
-                apart = _to_box(body, world, course, link, slot, i, node, limit)
+                apart = _to_box(body, world, search, link, slot, i, node, limit)
                 if apart < limit:
                     near |= bit
                 else:
@@ -310,12 +312,12 @@ def _to_world(
             node += 1
             if row < 0:
                 level += 1
-                course.active[level], course.until[level] = near, world.skip[node - 1]
+                search.active[level], search.until[level] = near, world.skip[node - 1]
                 continue
             while near != 0 and row != closest:
                 i = first + lowest_bit(near)
                 near &= near - np.uint64(1)
-                lower, upper = _to_row(body, world, course, link, slot, i, row, max(best, nearest, 0.0))
+                lower, upper = _to_row(body, world, search, link, slot, i, row, max(best, nearest, 0.0))
                 nearest = min(nearest, lower)
                 found, best = _note(found, lower, upper, i, row, k, best)
         lowest = min(lowest, nearest)
@@ -325,7 +327,7 @@ def _to_world(
 @inlined
 def _to_each_other(
     body: RobotParts,
-    course: Course,
+    search: ClearanceSearch,
     found: Array,
     one: int,
     other: int,
@@ -341,24 +343,24 @@ def _to_each_other(
     low, k, high, slot = stretch
     before = after = max(best, 0.0)
     a = body.around
-    ax, ay, az = _at(course.frames, slot, one, a[one, 0], a[one, 1], a[one, 2])
-    bx, by, bz = _at(course.frames, slot, other, a[other, 0], a[other, 1], a[other, 2])
+    ax, ay, az = _at(search.frames, slot, one, a[one, 0], a[one, 1], a[one, 2])
+    bx, by, bz = _at(search.frames, slot, other, a[other, 0], a[other, 1], a[other, 2])
     apart = math.sqrt((ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2) - a[one, 3] - a[other, 3]
     if apart >= before + max(travel[0], travel[1]):
         return (before, after), found, best
-    _place_parts(body, course, slot, one)
-    _place_parts(body, course, slot, other)
+    _place_parts(body, search, slot, one)
+    _place_parts(body, search, slot, other)
     inner, outer = body.link_joint[other] + 1, body.link_joint[one]
     for j in range(body.first[other], body.first[other + 1]):
-        _rate(body, course, stretch, j, inner, outer, 1)
-    rates, moved = course.rates, course.moved
-    p = course.centers
+        _rate(body, search, stretch, j, inner, outer, 1)
+    rates, moved = search.rates, search.moved
+    p = search.centers
     for i in range(body.first[one], body.first[one + 1]):
         reach = body.extents[i, 5] + a[other, 3]
         apart = math.sqrt((p[i, 0] - bx) ** 2 + (p[i, 1] - by) ** 2 + (p[i, 2] - bz) ** 2)
         if apart - reach >= max(best, before + travel[0], after + travel[1], 0.0):
             continue
-        _rate(body, course, stretch, i, outer, inner, -1)
+        _rate(body, search, stretch, i, outer, inner, -1)
         for j in range(body.first[other], body.first[other + 1]):
             own_before, own_after = 0.0, 0.0
             for joint in range(inner, outer + 1):
@@ -374,8 +376,8 @@ def _to_each_other(
             if rounded == reach:
                 lower = upper = apart - reach
             else:
-                turn = _part_turn(body, course, slot, other, j)
-                own = _part_turn(body, course, slot, one, i)
+                turn = _part_turn(body, search, slot, other, j)
+                own = _part_turn(body, search, slot, one, i)
                 u = turned_back(turn, (own[0], own[3], own[6]))
                 v = turned_back(turn, (own[1], own[4], own[7]))
                 w = turned_back(turn, (own[2], own[5], own[8]))
@@ -392,7 +394,14 @@ def _to_each_other(
 
 @inlined
 def _look_at(
-    body: RobotParts, world: Obstacles, course: Course, found: Array, subject: int, low: int, high: int, best: float
+    body: RobotParts,
+    world: Obstacles,
+    search: ClearanceSearch,
+    found: Array,
+    subject: int,
+    low: int,
+    high: int,
+    best: float,
 ) -> tuple[Kept, Kept, Array, float]:
     """Examine the middle sample of an interval of a subject. Returns lower bounds (m) on the distances before and after
     it, how far (m) the subject moves there, `found` with the pairs that may be closer than `best`, and the smallest
@@ -400,17 +409,17 @@ def _look_at(
     """
     links = body.link_joint.shape[0]
     k = (low + high) // 2
-    slot = place(body, course, k)
+    slot = place(body, search, k)
     stretch = low, k, high - 1, slot
     one = subject if subject < links else int(body.pairs[subject - links, 1])
-    x, y, z = _at(course.frames, slot, one, body.around[one, 0], body.around[one, 1], body.around[one, 2])
-    travel = _travel(body, course, subject, stretch, x, y, z, body.spread[one])
+    x, y, z = _at(search.frames, slot, one, body.around[one, 0], body.around[one, 1], body.around[one, 2])
+    travel = _travel(body, search, subject, stretch, x, y, z, body.spread[one])
     if subject < links:
         enough = max(best, 0.0) + max(travel[0], travel[1])
-        lowest, found, best = _to_world(body, world, course, found, one, k, slot, enough, best)
+        lowest, found, best = _to_world(body, world, search, found, one, k, slot, enough, best)
         return (lowest - travel[0], lowest - travel[1]), travel, found, best
     other = body.pairs[subject - links, 0]
-    kept, found, best = _to_each_other(body, course, found, one, other, stretch, travel, best)
+    kept, found, best = _to_each_other(body, search, found, one, other, stretch, travel, best)
     return kept, travel, found, best
 
 
@@ -420,7 +429,7 @@ def begin(
     cover: Cover,
     world: Obstacles,
     shapes: Single,
-    course: Course,
+    search: ClearanceSearch,
     asked: NDArray[np.bool_],
     best: float,
 ) -> tuple[Array, float]:
@@ -429,25 +438,27 @@ def begin(
 
     Returns pairs and the smallest upper bound as `look` does. `shapes` as in `push_near`.
     """
-    samples = course.q.shape[0]
+    samples = search.q.shape[0]
     found = np.empty((64, 5))
     found[0, 0] = 0.0
     if samples < FEW:
         for subject in range(asked.shape[0]):
             if asked[subject]:
-                push(course, -np.inf, subject, 0, samples)
+                push(search, -np.inf, subject, 0, samples)
         return found[1:1], best
     for end in (0, samples - 1):
         for subject in range(asked.shape[0]):
             if asked[subject]:
-                _, _, found, best = _look_at(body, world, course, found, subject, end, end + 1, best)
+                _, _, found, best = _look_at(body, world, search, found, subject, end, end + 1, best)
     if best > 0.0:
-        push_near(body, cover, world, shapes, course, asked, best, make_batch(cover))
+        push_near(body, cover, world, shapes, search, asked, best, make_batch(cover))
     return found[1 : int(found[0, 0]) + 1], best
 
 
 @kernel
-def look(body: RobotParts, world: Obstacles, course: Course, best: float, most: int) -> tuple[Array, float, bool]:
+def look(
+    body: RobotParts, world: Obstacles, search: ClearanceSearch, best: float, most: int
+) -> tuple[Array, float, bool]:
     """Examine up to `most` intervals in search of distances below `best` (m).
 
     Returns the pairs that may have the smallest distance, as rows of lower and upper bound (m), part, row of the world
@@ -461,19 +472,19 @@ def look(body: RobotParts, world: Obstacles, course: Course, best: float, most: 
     over = False
     for _ in range(most):
         if (
-            course.size[0] == 0
-            or course.keys[0] >= max(best, 0.0) - PRECISION
-            or (best <= 0.0 and course.q.shape[0] > 1)
+            search.size[0] == 0
+            or search.keys[0] >= max(best, 0.0) - PRECISION
+            or (best <= 0.0 and search.q.shape[0] > 1)
         ):
             over = True
             break
-        key, subject = course.keys[0], course.stretches[0, 0]
-        low, high = course.stretches[0, 1], course.stretches[0, 2]
-        drop_top(course)
-        kept, travel, found, best = _look_at(body, world, course, found, subject, low, high, best)
+        key, subject = search.keys[0], search.stretches[0, 0]
+        low, high = search.stretches[0, 1], search.stretches[0, 2]
+        drop_top(search)
+        kept, travel, found, best = _look_at(body, world, search, found, subject, low, high, best)
         k = (low + high) // 2
         if low < k and travel[0] > 0.0:
-            push(course, max(key, kept[0]), subject, low, k)
+            push(search, max(key, kept[0]), subject, low, k)
         if k + 1 < high and travel[1] > 0.0:
-            push(course, max(key, kept[1]), subject, k + 1, high)
+            push(search, max(key, kept[1]), subject, k + 1, high)
     return found[1 : int(found[0, 0]) + 1], best, over

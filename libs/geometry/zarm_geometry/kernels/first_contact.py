@@ -14,9 +14,9 @@ import math
 import numpy as np
 
 from zarm_geometry.kernels.arrays import Pointer
+from zarm_geometry.kernels.clearance_search import Obstacles
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.convex import Extents, Vector, core_gap, core_point, core_reach, turned, turned_back
-from zarm_geometry.kernels.course import Obstacles
 from zarm_geometry.kernels.motion import (
     EXTENTS,
     POSE,
@@ -356,7 +356,7 @@ def first_contact(
                 found, i, other = _against_world(view, subject, a, m, b, sag, margin)
             else:
                 one, two = body.pairs[subject - view.links, 1], body.pairs[subject - view.links, 0]
-                found, i, other = _against_link(view, one, two, a, m, b, sag, min(margin, body.room[subject]))
+                found, i, other = _against_link(view, one, two, a, m, b, sag, min(margin, body.kept_margin[subject]))
             if found == KEPT:
                 continue
             if m == a:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import Index, Pointer
+from zarm_geometry.kernels.clearance_search import Obstacles, RobotParts
 from zarm_geometry.kernels.compiled import brief, inlined
 from zarm_geometry.kernels.convex import Extents, Turn, turned
-from zarm_geometry.kernels.course import Obstacles, RobotParts
 from zarm_geometry.kernels.kinematics import joint_frames
 from zarm_geometry.kernels.simd import pointer
 
@@ -37,7 +37,7 @@ class MotionBody(NamedTuple):
     """A robot: `solids` are its parts, followed by one bounding ball per link, in the frames of the joints that carry
     them.
 
-    `carrier` (solids,): that joint, counted from 1; 0 is the base. `asked` (subjects,): the subjects to check; `room`
+    `carrier` (solids,): that joint, counted from 1; 0 is the base. `asked` (subjects,): the subjects to check; `kept_margin`
     (subjects,): the largest margin (m) that each can keep. The rest is as in `clearance.RobotParts`.
     """
 
@@ -49,7 +49,7 @@ class MotionBody(NamedTuple):
     pairs: Index
     reach: Array
     asked: NDArray[np.bool_]
-    room: Array
+    kept_margin: Array
 
 
 class Movers(NamedTuple):
@@ -96,7 +96,7 @@ def solids(rows: Array) -> Solids:
     return Solids(np.ascontiguousarray(pose), np.column_stack([rows[:, 12:], np.full(len(rows), -1.0)]))
 
 
-def motion_body(parts: RobotParts, asked: NDArray[np.bool_], room: Array) -> MotionBody:
+def motion_body(parts: RobotParts, asked: NDArray[np.bool_], kept_margin: Array) -> MotionBody:
     """Pack a robot for `first_contact`."""
     count = len(parts.link_joint)
     link = np.repeat(np.arange(count), np.diff(parts.first))
@@ -114,7 +114,7 @@ def motion_body(parts: RobotParts, asked: NDArray[np.bool_], room: Array) -> Mot
         pairs=parts.pairs,
         reach=parts.reach,
         asked=asked,
-        room=room,
+        kept_margin=kept_margin,
     )
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import Pointer
+from zarm_geometry.kernels.clearance_search import Obstacles
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.convex import Extents, Vector, core_gap, separation, turned, turned_back
-from zarm_geometry.kernels.course import Obstacles
 from zarm_geometry.kernels.motion import (
     EXTENTS,
     POSE,

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_geometry.kernels.clearance_search import Obstacles
 from zarm_geometry.kernels.compiled import inlined, kernel
-from zarm_geometry.kernels.course import Obstacles
 from zarm_geometry.kernels.first_contact import first_contact
 from zarm_geometry.kernels.motion import Flags, MotionBody, Movers, Solids, motion
 from zarm_geometry.kernels.nearby import GRADIENT, near
@@ -16,9 +16,9 @@ from zarm_geometry.kernels.nearby import GRADIENT, near
 Array = NDArray[np.float64]
 Owner = NDArray[np.intp]
 
-ROOM = GRADIENT
+KEPT_MARGIN = GRADIENT
 """The column of a row of `nearby` with the largest margin (m) that a pair can keep."""
-GRADIENT_THERE = ROOM + 1
+GRADIENT_THERE = KEPT_MARGIN + 1
 """The column in which the gradient starts in a row of `nearby`."""
 MOST_PAIRS = 64
 """Most world rows and pairs of links distinguished near one configuration."""
@@ -70,7 +70,7 @@ def nearby(situation: SituationArrays, q: Array, time: float, within: float) -> 
         if _is_known(situation, rows, kept, link, other):
             continue
         rows[kept, :GRADIENT] = found[k, :GRADIENT]
-        rows[kept, ROOM] = _room(body, link, other)
+        rows[kept, KEPT_MARGIN] = _kept_margin(body, link, other)
         rows[kept, GRADIENT_THERE:] = found[k, GRADIENT:]
         kept += 1
     return rows[:kept].copy()
@@ -101,12 +101,12 @@ def _is_known(situation: SituationArrays, found: Array, count: int, link: int, o
 
 
 @inlined
-def _room(body: MotionBody, link: int, other: int) -> float:
+def _kept_margin(body: MotionBody, link: int, other: int) -> float:
     """The largest margin (m) that a link can keep from `other`, see `first_contact`."""
     if other >= 0:
         return np.inf
     his, links = _link_of(body, -1 - other), body.first.shape[0] - 1
     for k in range(body.pairs.shape[0]):
         if body.pairs[k, 1] == link and body.pairs[k, 0] == his:
-            return float(body.room[links + k])
+            return float(body.kept_margin[links + k])
     return np.inf

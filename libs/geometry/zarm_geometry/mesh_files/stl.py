@@ -41,13 +41,13 @@ def _is_text(content: bytes) -> bool:
 
 
 def _binary(content: bytes, held: int) -> MeshFile:
-    room = (len(content) - _HEADER) // _TRIANGLE.itemsize
-    if room <= 0:
+    capacity = (len(content) - _HEADER) // _TRIANGLE.itemsize
+    if capacity <= 0:
         raise Unreadable("it is neither text nor binary STL and holds no triangles; export it again")
     rest = content[_HEADER + held * _TRIANGLE.itemsize :]
-    if held > room or (len(rest) >= _TRIANGLE.itemsize and rest.strip(b"\0")):
+    if held > capacity or (len(rest) >= _TRIANGLE.itemsize and rest.strip(b"\0")):
         raise Unreadable(
-            f"as a binary STL its header announces {many(held, 'triangle')}, and its {len(content)} bytes have room for {room}: it is "
+            f"as a binary STL its header announces {many(held, 'triangle')}, and its {len(content)} bytes have room for {capacity}: it is "
             "cut off, damaged or no STL; export it again"
         )
     corners = np.frombuffer(content, _TRIANGLE, held, _HEADER)["corners"].astype(np.float64)

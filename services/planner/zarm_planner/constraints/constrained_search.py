@@ -71,22 +71,22 @@ def shortcut_constrained(
     `deadline` only makes it end sooner.
     """
     model = constraint.model
-    room = np.empty((kernel.ROWS, model.dof), np.float32)
+    buffer = np.empty((kernel.ROWS, model.dof), np.float32)
     inner = path[1:-1]
     if len(inner) > kernel.ROWS:
         return path
-    room[: len(inner)] = inner
+    buffer[: len(inner)] = inner
     count = kernel.shortcut_constrained(
         model.arrays,
         world.arrays,
         working_memory(model.arrays),
         _inside(constraint, path),
-        room,
+        buffer,
         len(inner),
         np.array([seed], np.uint64),
         deadline.at,
     )
-    return np.vstack((path[0], np.clip(room[:count], model.lower, model.upper), path[-1]))
+    return np.vstack((path[0], np.clip(buffer[:count], model.lower, model.upper), path[-1]))
 
 
 def _inside(constraint: ConstraintManifold, rows: Array) -> ConstraintArrays:

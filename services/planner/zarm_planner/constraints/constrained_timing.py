@@ -27,7 +27,7 @@ _LOOKS = 4
 """Samples checked per interval between two points of the curve."""
 _RANGE = 8e-5
 """Rad or m by which a curve may exceed the joint ranges; slightly less than `verify` allows."""
-_ROOM = 0.9
+_LARGEST_USE = 0.9
 """The share of the tolerances that the curve may use."""
 
 
@@ -52,7 +52,7 @@ def time_constrained(
     length = np.insert(np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)), 0, 0.0)
     if length[-1] < 1e-6:
         return TimedTrajectory.standing(path[0], dt)
-    allowed = max(_ROOM, float(constraint.use(path[[0, -1]]).max()))
+    allowed = max(_LARGEST_USE, float(constraint.use(path[[0, -1]]).max()))
     for halved in range(_ROUNDS):
         if deadline.passed:
             return None

@@ -16,7 +16,7 @@ from zarm_planner.kinematics.ik import chain_of
 
 Array = NDArray[np.float64]
 
-_ROOM = 0.005
+_ENOUGH_CLEARANCE = 0.005
 """Clearance (m) that is enough for a goal."""
 _ROWS = 150
 """Most steps of a walk; out of a slot of 1 mm and 20 cm depth it takes about 60."""
@@ -31,8 +31,10 @@ def clear_pose(context: PlanningContext, pose: Array, q: Array) -> tuple[Array, 
     Only a redundant arm has such alternatives.
     """
     model, found = context.model, np.array(q)
-    room = contact.clear_pose(chain_of(model), _surroundings(context.exact), pose, _ROOM, found, context.deadline.at)
-    return found, room
+    clearance = contact.clear_pose(
+        chain_of(model), _surroundings(context.exact), pose, _ENOUGH_CLEARANCE, found, context.deadline.at
+    )
+    return found, clearance
 
 
 def way_out(context: PlanningContext, q: Array, direction: Array) -> Array | None:

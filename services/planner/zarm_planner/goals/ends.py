@@ -246,9 +246,9 @@ def _tight_ends(
         ends: list[End] = []
         for q in new:
             context.deadline.check()
-            roomy, room = clear_pose(context, pose, q)
-            tried.append((room, roomy))
-            if room > 0.0 and (end := _end(context, roomy, constraint)):
+            clear, clearance = clear_pose(context, pose, q)
+            tried.append((clearance, clear))
+            if clearance > 0.0 and (end := _end(context, clear, constraint)):
                 ends.append(end)
             if len(ends) == most:
                 break

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import Memory, RobotArrays, WorldArrays, space
+from zarm_geometry.kernels.clearance_search import Obstacles
 from zarm_geometry.kernels.compiled import inlined, kernel
-from zarm_geometry.kernels.course import Obstacles
 from zarm_geometry.kernels.edge import edge_free
 from zarm_geometry.kernels.kinematics import Array
 from zarm_geometry.kernels.motion import Flags, Motion, MotionBody, Movers, Solids

@@ -94,21 +94,21 @@ def quickest_of(
         rows = path.shape[0]
         if rows == 0:
             continue
-        room = np.empty((rows + MOST, dof), np.float32)
+        buffer = np.empty((rows + MOST, dof), np.float32)
         for i in range(rows):
-            copy(path[i], room[i])
+            copy(path[i], buffer[i])
         random[0] = seeds[tried]
-        rows = shortcut(robot, world, memory, room, rows, random, deadline)
+        rows = shortcut(robot, world, memory, buffer, rows, random, deadline)
         spent[1] += seconds(now) - searched
         time = 0.0
         for i in range(rows - 1):
-            time += seconds_between(room[i], room[i + 1], fastest)
+            time += seconds_between(buffer[i], buffer[i + 1], fastest)
         times[found] = time
         if found == 0:
             most = min(most, max(samples, FEWEST))
         found += 1
         if time < least:
-            best, least = room[:rows], time
+            best, least = buffer[:rows], time
             inform(informed, limits, ends, fastest, least)
         alike = 0
         for i in range(found):

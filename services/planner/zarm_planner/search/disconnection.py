@@ -176,10 +176,10 @@ class _Grid:
             else:
                 lever = np.ones_like(moved)
             moved += np.where(balls.joint >= joint, half[joint] * lever, 0.0)
-        room = rows.distances(centre.reshape(-1, 3), self._shapes).reshape(*moved.shape, -1)
-        room = (room + (moved - balls.radius)[..., None]).min(axis=1)
-        nearest = np.argmin(room, axis=1)
-        return np.where(room[np.arange(len(cells)), nearest] < 0.0, nearest, -1)
+        distance = rows.distances(centre.reshape(-1, 3), self._shapes).reshape(*moved.shape, -1)
+        distance = (distance + (moved - balls.radius)[..., None]).min(axis=1)
+        nearest = np.argmin(distance, axis=1)
+        return np.where(distance[np.arange(len(cells)), nearest] < 0.0, nearest, -1)
 
 
 def _inner_balls(model: RobotModel) -> _Balls:

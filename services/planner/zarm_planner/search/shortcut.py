@@ -26,18 +26,18 @@ def shortcut(model: RobotModel, world: World, path: Array, *, seed: int, deadlin
     If both ends are the same configuration, the path can be one row. The same seed gives the same path. `deadline` only
     makes it end sooner, with the best path so far.
     """
-    room = np.empty((len(path) + kernel.MOST, model.dof), np.float32)
-    room[: len(path)] = path
+    buffer = np.empty((len(path) + kernel.MOST, model.dof), np.float32)
+    buffer[: len(path)] = path
     rows = kernel.shortcut(
         model.arrays,
         world.arrays,
         working_memory(model.arrays),
-        room,
+        buffer,
         len(path),
         np.array([seed], np.uint64),
         deadline.at,
     )
-    return _without_repeats(model, room[:rows], path[0], path[-1])
+    return _without_repeats(model, buffer[:rows], path[0], path[-1])
 
 
 class Quickest(NamedTuple):

@@ -36,7 +36,7 @@ _PATIENCE = 384
 """Nearly useless shortcuts, plus as many for each via, after which no more are tried: this makes motions 0.1 % longer,
 and the slowest twentieth takes two thirds of the time.
 """
-_ROOM = 256
+_SPARE_ROWS = 256
 """Most ramps of a motion, in addition to one for each edge of the path."""
 _MUCH = 0.5
 """A joint that uses less than this share of its speed and acceleration may overshoot between two samples, which saves
@@ -64,21 +64,21 @@ class Smoothing:
         self._lead_in = lead_in
         passed = np.zeros(len(path), np.bool_)
         passed[list(vias)] = True
-        self._ramps = make_ramps(len(path) + _ROOM, model.dof)
+        self._ramps = make_ramps(len(path) + _SPARE_ROWS, model.dof)
         if lead_in is None:
             used = Averaging.of(
                 total_ways(path), limits.rates, SHORTEST * dt, deviation=deviation if len(vias) else np.inf
             )
-            self._window, self._begin, led = used.window, 0.0, 0
+            self._window, self._begin, past_count = used.window, 0.0, 0
             fastest, strongest = used.velocity, used.acceleration
         else:
-            strongest, fastest, led = lead_in.strongest, lead_in.fastest, len(lead_in.ramps.duration)
+            strongest, fastest, past_count = lead_in.strongest, lead_in.fastest, len(lead_in.ramps.duration)
             self._window = self._begin = lead_in.window
             for column, given in zip(self._ramps, lead_in.ramps, strict=True):
-                column[:led] = given
+                column[:past_count] = given
         self._bounds = np.array((model.lower, model.upper, fastest, strongest))
-        self._count = led + along(
-            path, passed, np.minimum(fastest, limits.velocity), strongest, ramps_from(self._ramps, led)
+        self._count = past_count + along(
+            path, passed, np.minimum(fastest, limits.velocity), strongest, ramps_from(self._ramps, past_count)
         )
         self._stretches = 1 + len(vias)
 

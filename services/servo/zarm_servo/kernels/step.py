@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.compiled import brief, inlined, kernel
-from zarm_geometry.kernels.situation import GRADIENT_THERE, ROOM, SituationArrays, contact
+from zarm_geometry.kernels.situation import GRADIENT_THERE, KEPT_MARGIN, SituationArrays, contact
 from zarm_servo.kernels.projection import FLAT, projected
 from zarm_servo.kernels.speed_change import phases, sampled
 
@@ -107,7 +107,7 @@ def bounded(
             limiting = JOINT_LIMIT
     left, closest = np.empty(pairs), 0
     for i in range(pairs):
-        left[i] = near[i, 0] - min(margin, near[i, ROOM])
+        left[i] = near[i, 0] - min(margin, near[i, KEPT_MARGIN])
         if left[i] < left[closest]:
             closest = i
     # Move away slowly from what is too close. This check ignores time, so it is not used while anything moves.

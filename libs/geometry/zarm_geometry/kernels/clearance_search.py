@@ -56,7 +56,7 @@ class Obstacles(NamedTuple):
     slack: float
 
 
-class Course(NamedTuple):
+class ClearanceSearch(NamedTuple):
     """A motion and the state of the search along it.
 
     `q` (n, dof); `moved` (n, dof): the path length of each joint since the first sample, in rad (m if prismatic).
@@ -84,7 +84,7 @@ class Course(NamedTuple):
 
 
 @brief
-def course(body: RobotParts, q: Array, asked: NDArray[np.bool_]) -> Course:
+def search(body: RobotParts, q: Array, asked: NDArray[np.bool_]) -> ClearanceSearch:
     """A search along the motion `q` (n, dof), with no intervals yet; only subjects that are `asked` (subjects,) are
     checked.
     """
@@ -96,7 +96,7 @@ def course(body: RobotParts, q: Array, asked: NDArray[np.bool_]) -> Course:
     for k in range(1, samples):
         for joint in range(dof):
             moved[k, joint] = moved[k - 1, joint] + abs(q[k, joint] - q[k - 1, joint])
-    return Course(
+    return ClearanceSearch(
         q,
         moved,
         np.full(samples, -1, np.int32),
@@ -115,67 +115,67 @@ def course(body: RobotParts, q: Array, asked: NDArray[np.bool_]) -> Course:
 
 
 @inlined
-def push(course: Course, key: float, subject: int, low: int, high: int) -> None:
+def push(search: ClearanceSearch, key: float, subject: int, low: int, high: int) -> None:
     """Add an interval to the heap."""
-    i = course.size[0]
-    course.size[0] = i + 1
-    while i > 0 and course.keys[(i - 1) // 2] > key:
+    i = search.size[0]
+    search.size[0] = i + 1
+    while i > 0 and search.keys[(i - 1) // 2] > key:
         above = (i - 1) // 2
-        course.keys[i] = course.keys[above]
+        search.keys[i] = search.keys[above]
         for c in range(3):
-            course.stretches[i, c] = course.stretches[above, c]
+            search.stretches[i, c] = search.stretches[above, c]
         i = above
-    course.keys[i] = key
-    course.stretches[i, 0], course.stretches[i, 1], course.stretches[i, 2] = subject, low, high
+    search.keys[i] = key
+    search.stretches[i, 0], search.stretches[i, 1], search.stretches[i, 2] = subject, low, high
 
 
 @inlined
-def drop_top(course: Course) -> None:
+def drop_top(search: ClearanceSearch) -> None:
     """Remove the interval with the smallest key from the heap."""
-    size = course.size[0] - 1
-    course.size[0] = size
-    key = course.keys[size]
+    size = search.size[0] - 1
+    search.size[0] = size
+    key = search.keys[size]
     i = 0
     while 2 * i + 1 < size:
         below = 2 * i + 1
-        if below + 1 < size and course.keys[below + 1] < course.keys[below]:
+        if below + 1 < size and search.keys[below + 1] < search.keys[below]:
             below += 1
-        if course.keys[below] >= key:
+        if search.keys[below] >= key:
             break
-        course.keys[i] = course.keys[below]
+        search.keys[i] = search.keys[below]
         for c in range(3):
-            course.stretches[i, c] = course.stretches[below, c]
+            search.stretches[i, c] = search.stretches[below, c]
         i = below
-    course.keys[i] = key
+    search.keys[i] = key
     for c in range(3):
-        course.stretches[i, c] = course.stretches[size, c]
+        search.stretches[i, c] = search.stretches[size, c]
 
 
 @inlined
-def place(body: RobotParts, course: Course, k: int) -> int:
+def place(body: RobotParts, search: ClearanceSearch, k: int) -> int:
     """Compute the joint axes and the frames of all links at sample `k`, unless they are known; returns their slot."""
-    at = int(course.slot[k])
+    at = int(search.slot[k])
     if at >= 0:
         return at
-    at = int(course.size[1])
-    course.size[1] = at + 1
-    course.slot[k] = at
-    joint_frames(body.origin, body.revolute, course.q[k], course.joints)
-    for joint in range(course.joints.shape[0]):
+    at = int(search.size[1])
+    search.size[1] = at + 1
+    search.slot[k] = at
+    joint_frames(body.origin, body.revolute, search.q[k], search.joints)
+    for joint in range(search.joints.shape[0]):
         for r in range(3):
-            course.axes[at, joint, r], course.axes[at, joint, 3 + r] = (
-                course.joints[joint, r, 2],
-                course.joints[joint, r, 3],
+            search.axes[at, joint, r], search.axes[at, joint, 3 + r] = (
+                search.joints[joint, r, 2],
+                search.joints[joint, r, 3],
             )
     for link in range(body.link_joint.shape[0]):
         j = body.link_joint[link]
         for r in range(3):
             for c in range(4):
                 if j < 0:
-                    course.frames[at, link, r, c] = body.offset[link, r, c]
+                    search.frames[at, link, r, c] = body.offset[link, r, c]
                 else:
-                    value = course.joints[j, r, 3] if c == 3 else 0.0
+                    value = search.joints[j, r, 3] if c == 3 else 0.0
                     for i in range(3):
-                        value += course.joints[j, r, i] * body.offset[link, i, c]
-                    course.frames[at, link, r, c] = value
+                        value += search.joints[j, r, i] * body.offset[link, i, c]
+                    search.frames[at, link, r, c] = value
     return at

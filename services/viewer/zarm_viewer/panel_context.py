@@ -25,7 +25,7 @@ EVENTS = 40
 
 
 @dataclass
-class Desk:
+class PanelContext:
     """One robot on the page; `joints` (J,) are the last measured (rad).
 
     `client` reaches it on the bus; a record has none.

@@ -20,7 +20,7 @@ this many times as far away, because they leave a narrow view.
 """
 
 
-def furnish(server: viser.ViserServer, robots: int) -> None:
+def add_environment(server: viser.ViserServer, robots: int) -> None:
     """Light, a floor, and a camera that shows `robots` of them side by side."""
     scene, gui = server.scene, server.gui
     dress(gui)
