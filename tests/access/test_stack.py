@@ -124,12 +124,12 @@ def test_a_closed_loop_planner_streams_with_the_certificate_of_an_operator(up: U
 def test_a_driver_without_zarm_tells_its_joints_with_the_certificate_of_one(
     up: Up, operator: Bus, tmp_path: Path
 ) -> None:
-    told = operator.latest(Keys("other").driver_joint_states)
+    reported = operator.latest(Keys("other").driver_joint_states)
     driver = subprocess.Popen(
         [*example("zenoh_driver.py", "driver", up, tmp_path), "--robot", "other", "--at", *map(str, HOME)]
     )
     try:
-        eventually(lambda: (state := told.get()) and state.position == tuple(HOME), "the driver tells its joints")
+        eventually(lambda: (state := reported.get()) and state.position == tuple(HOME), "the driver tells its joints")
     finally:
         driver.terminate()
         driver.wait(PATIENCE)
@@ -168,7 +168,7 @@ def test_the_zenoh_lines_of_the_documentation_work_as_written(up: Up, tmp_path: 
     (tmp_path / "certs").symlink_to(up.variables["ZARM_CERTS"])
     lines = block.group(1).replace("tls/workstation:7447", up.endpoint.replace("tcp/", "tls/"))
     path = f"{Path(sys.executable).parent}:{up.variables['PATH']}"
-    told = subprocess.run(
+    reported = subprocess.run(
         ["bash", "-c", lines],
         cwd=tmp_path,
         env=up.variables | {"PATH": path},
@@ -176,7 +176,7 @@ def test_the_zenoh_lines_of_the_documentation_work_as_written(up: Up, tmp_path: 
         text=True,
         timeout=PATIENCE,
     )
-    assert json.loads(the_one_line(told.stdout))["mode"] == "idle", told.stderr
+    assert json.loads(the_one_line(reported.stdout))["mode"] == "idle", reported.stderr
 
 
 def test_a_service_can_be_asked_how_it_is_with_no_certificate_but_its_own(
@@ -226,8 +226,8 @@ def test_whoever_asks_without_zarm_is_not_answered_and_nothing_happens(up: Up, o
 def test_the_driver_hears_commands_from_the_executor_alone(up: Up, operator: Bus) -> None:
     # By the emulator the executor moves, and commands nothing itself.
     operator.call(up.keys.strategy, StrategyRequest(strategy="emulator"), timeout=PATIENCE)
-    told = operator.latest(up.keys.driver_joint_states)
-    state = told.wait(PATIENCE)
+    reported = operator.latest(up.keys.driver_joint_states)
+    state = reported.wait(PATIENCE)
     assert state is not None
     away = tuple(q + 0.5 for q in state.position)
     rest = (0.0,) * len(away)
@@ -247,7 +247,7 @@ def test_the_driver_hears_commands_from_the_executor_alone(up: Up, operator: Bus
             session.put(up.keys.driver_command, encode(command))
             list(session.get(up.keys.health("leeloo_sim")))  # the driver had both, were both let through
     for _ in range(10):
-        after = told.wait(PATIENCE)
+        after = reported.wait(PATIENCE)
         assert after is not None
         assert after.position == pytest.approx(state.position, abs=1e-3)
     operator.call(up.keys.strategy, StrategyRequest(strategy="joint_speed"), timeout=PATIENCE)

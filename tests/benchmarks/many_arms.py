@@ -131,11 +131,11 @@ def measure(
     bus.subscribe(Keys.goal("*"), lambda _, goal: goals.update({goal.goal_id: goal}))
     names = ("executor", "planner", "router")
     hear()
-    told: dict[str, Array] = {}
+    reported: dict[str, Array] = {}
 
     def all_told() -> bool:
-        told.update({key.split("/")[1]: np.array(json.loads(payload)["position"]) for _, key, payload in hear()})
-        return len(told) == len(arms)
+        reported.update({key.split("/")[1]: np.array(json.loads(payload)["position"]) for _, key, payload in hear()})
+        return len(reported) == len(arms)
 
     eventually(all_told, "all joints are told")
     with ThreadPoolExecutor(len(arms)) as pool:
@@ -145,7 +145,7 @@ def measure(
             return np.array([took for took, _ in found]), [what for _, what in found]
 
         def plan(arm: Arm) -> tuple[float, str]:
-            target = BACK if np.max(np.abs(told[arm.keys.robot] - BACK)) > 0.3 else AWAY
+            target = BACK if np.max(np.abs(reported[arm.keys.robot] - BACK)) > 0.3 else AWAY
             request = PlanRequest(goal=JointGoal(kind="joints", position=tuple(target)), velocity_scale=0.4)
             took, found = timed(lambda: bus.call(arm.keys.plan, request, timeout=PATIENCE))
             return took, found.plan_id
@@ -271,8 +271,8 @@ def listen(endpoint: str, pipe: Connection) -> None:
         pipe.send("ready")
         while True:
             pipe.recv()
-            told, heard[:] = heard[:], []
-            pipe.send(told)
+            reported, heard[:] = heard[:], []
+            pipe.send(reported)
 
 
 @contextmanager

@@ -158,8 +158,8 @@ def turned(frame: str | bytes) -> list[str]:
     if isinstance(frame, str):
         raise TypeError("viser sends bytes")
     size, packed = (int.from_bytes(frame[at : at + 8], "little") for at in (0, 8))
-    told = msgspec.msgpack.decode(zstandard.decompress(frame[16 : 16 + packed], max_output_size=size))
-    return [each["name"] for each in told["messages"] if each["type"] == "SetOrientationMessage"]
+    reported = msgspec.msgpack.decode(zstandard.decompress(frame[16 : 16 + packed], max_output_size=size))
+    return [each["name"] for each in reported["messages"] if each["type"] == "SetOrientationMessage"]
 
 
 def main() -> None:

@@ -79,8 +79,8 @@ class Insertions:
         self.bus, self.client = bus, Client(bus)
         self.random = np.random.default_rng(seed)
         self.tally = Tally()
-        self.told: list[tuple[float, GoalTrajectory]] = []
-        bus.subscribe(KEYS.goal_trajectory, lambda _, said: self.told.append((time.time(), said)))
+        self.reported: list[tuple[float, GoalTrajectory]] = []
+        bus.subscribe(KEYS.goal_trajectory, lambda _, said: self.reported.append((time.time(), said)))
 
     def scene(self) -> list[SceneObject]:
         """Small boxes around the robot."""
@@ -121,7 +121,7 @@ class Insertions:
         if made is None:
             return False
         path = TimedTrajectory.of(made.trajectory, JOINTS)
-        self.told.clear()
+        self.reported.clear()
         self.client.measured.clear()
         self.client.goals.clear()
         try:
@@ -152,7 +152,7 @@ class Insertions:
         """Add one insertion to the tally; whether it came before the goal's end."""
         tally = self.tally
         holds = [state.hold for state in self.client.goals if state.goal_id == goal and state.hold is not None]
-        followed = [(moment, said) for moment, said in list(self.told) if said.goal_id == goal]
+        followed = [(moment, said) for moment, said in list(self.reported) if said.goal_id == goal]
         trajectories = [TimedTrajectory.of(said.trajectory, JOINTS).begun_at(said.start) for _, said in followed]
         states = [state for state in self.client.measured if state.stamp >= answered]
         if not states:
@@ -193,7 +193,7 @@ class Insertions:
         return True
 
     def seam(self, old: TimedTrajectory, new: TimedTrajectory, at: float, moment: float, answered: float) -> None:
-        """Note when `new`, which was told at `moment`, took over at the path time `at` (s), and how hard."""
+        """Note when `new`, which was reported at `moment`, took over at the path time `at` (s), and how hard."""
         where = np.array([state.position for state in self.client.measured])
         nearest = int(np.abs(where - new.at(at)[0]).max(axis=1).argmin())
         self.tally.force.append(moment - answered)

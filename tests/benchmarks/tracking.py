@@ -63,9 +63,9 @@ def main() -> None:
     free, wall = Run(model, []), wall_before(model)
     lags = []
     for cycle in range(1000):
-        told = TOLD * (cycle * PERIOD // TOLD)
-        pose, before = at(free.tips[0], told), at(free.tips[0], max(told - TOLD, 0.0))
-        free.cycle(PoseTarget.moving(before, pose, TOLD), cycle * PERIOD - told)
+        reported = TOLD * (cycle * PERIOD // TOLD)
+        pose, before = at(free.tips[0], reported), at(free.tips[0], max(reported - TOLD, 0.0))
+        free.cycle(PoseTarget.moving(before, pose, TOLD), cycle * PERIOD - reported)
         away = at(free.tips[0], (cycle + 1) * PERIOD)[:3, 3] - free.tips[-1][:3, 3]
         lags.append(float(np.linalg.norm(away)) / SPEED)
     for _ in range(1000):

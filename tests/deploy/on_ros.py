@@ -27,9 +27,9 @@ action = ActionClient(node, SendTrajectory, "/unified_planner/execute_trajectory
 if not (planning.wait_for_service(60) and action.wait_for_server(60)):
     sys.exit("the bridge was not found")
 plan = answer(planning.call_async(TrajectoryGeneration.Request(target_pose=TARGET)))
-told = []
+reported = []
 sent = answer(
-    action.send_goal_async(SendTrajectory.Goal(), feedback_callback=lambda one: told.append(one.feedback.state))
+    action.send_goal_async(SendTrajectory.Goal(), feedback_callback=lambda one: reported.append(one.feedback.state))
 )
 ended = answer(sent.get_result_async())
 print(
@@ -37,7 +37,7 @@ print(
         {
             "planned": plan.success,
             "points": len(plan.trajectory),
-            "states": sorted(set(told)),
+            "states": sorted(set(reported)),
             "succeeded": ended.status == GoalStatus.STATUS_SUCCEEDED,
         }
     )

@@ -75,11 +75,11 @@ def test_the_zenoh_command_line_reads_and_plans(robot: Composition) -> None:
 
 
 def test_a_ros_client_in_another_container_plans_and_executes(robot: Composition) -> None:
-    told = robot.ros_client(ON_ROS)
-    assert told["planned"]
-    assert told["points"] > 10
-    assert "EXECUTING" in told["states"]
-    assert told["succeeded"]
+    reported = robot.ros_client(ON_ROS)
+    assert reported["planned"]
+    assert reported["points"] > 10
+    assert "EXECUTING" in reported["states"]
+    assert reported["succeeded"]
 
 
 @pytest.mark.parametrize("service", SERVICES)

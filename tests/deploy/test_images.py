@@ -65,9 +65,9 @@ def test_the_files_of_an_image_belong_to_somebody_else(service: str) -> None:
 
 def test_the_kernels_in_the_image_of_the_planner_are_used_as_they_are() -> None:
     options = (*READ_ONLY, "--env=NUMBA_DEBUG_CACHE=1")
-    told = said("planner", "python", "-m", "zarm_planner.warm_up", options=options)
-    assert "data loaded from '/var/lib/zarm/kernels" in told
-    assert "data saved" not in told
+    reported = said("planner", "python", "-m", "zarm_planner.warm_up", options=options)
+    assert "data loaded from '/var/lib/zarm/kernels" in reported
+    assert "data saved" not in reported
 
 
 def test_on_another_cpu_the_planner_compiles_kernels_of_its_own_and_keeps_them() -> None:
@@ -79,5 +79,5 @@ model = RobotModel.of(load_robot("doosan_m1013"))
 print(model.fk_tip(np.array(model.robot.descriptor.home)))
 """
     cpu = ("--env=NUMBA_CPU_NAME=x86-64", "--env=NUMBA_CPU_FEATURES=", "--env=NUMBA_DEBUG_CACHE=1")
-    told = said("planner", "python", "-c", script, options=(*READ_ONLY, *cpu))
-    assert "data saved to '/var/lib/zarm/kernels" in told
+    reported = said("planner", "python", "-c", script, options=(*READ_ONLY, *cpu))
+    assert "data saved to '/var/lib/zarm/kernels" in reported

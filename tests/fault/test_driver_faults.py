@@ -42,9 +42,9 @@ def test_a_driver_that_dies_leads_to_a_fault_and_a_new_one_does_not_move_by_itse
     moving.fault("driver_stalled")
     at = [str(value) for value in moving.arm()]
     with moving.new_driver("--at", *at) as again:
-        seen = len(moving.told)
+        seen = len(moving.reported)
         again.wait_ready(moving.bus, KEYS)
-        eventually(lambda: len(moving.told) > seen, "the driver is heard")
+        eventually(lambda: len(moving.reported) > seen, "the driver is heard")
         np.testing.assert_allclose(moving.at_rest(), np.array(at, dtype=float), atol=1e-9)
         moving.works_again()
 
@@ -55,8 +55,8 @@ def test_a_driver_that_plays_late_is_stopped(robot: Driven) -> None:
     robot.client.execute(THERE)
     robot.fault("tolerance_violated" if robot.strategy == STREAMED else "driver_stalled")
     robot.set_fault(DriverFault())
-    seen = len(robot.told)
-    eventually(lambda: len(robot.told) > seen + 300, "what was under way, the stop last, has been played")
+    seen = len(robot.reported)
+    eventually(lambda: len(robot.reported) > seen + 300, "what was under way, the stop last, has been played")
     assert np.max(np.abs(robot.at_rest() - FAR)) > 0.05
     robot.works_again()
 
@@ -94,8 +94,10 @@ def test_a_driver_that_still_plays_is_stopped_as_soon_as_the_router_is_back(tmp_
         eventually(lambda: "mode=fault" in robot.executor.output(), "the executor has noticed")
         assert "reason=driver_stalled" in robot.executor.output()
         stack.enter_context(open_router(endpoint))
-        seen = len(robot.told)
-        eventually(lambda: len(robot.told) > seen and not any(robot.told[-1].velocity), "the arm is told to stand")
+        seen = len(robot.reported)
+        eventually(
+            lambda: len(robot.reported) > seen and not any(robot.reported[-1].velocity), "the arm is told to stand"
+        )
         assert np.max(np.abs(robot.at_rest() - FAR)) > 0.05
         robot.fault("driver_stalled")
         robot.works_again()

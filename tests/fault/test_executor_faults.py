@@ -81,11 +81,11 @@ def test_killed_it_comes_back_no_faster_than_it_was_told_nor_than_its_descriptor
 ) -> None:
     slow = descriptor_at(100, tmp_path / "slow")
     slow.write_text(slow.read_text().replace("control_rate: 100", "control_rate: 100, speed_scale: 0.2"))
-    for robot, told, then in ((ROBOT.descriptor.name, 0.3, 0.3), (str(slow), 1.0, 0.2), (str(slow), None, 0.2)):
+    for robot, reported, then in ((ROBOT.descriptor.name, 0.3, 0.3), (str(slow), 1.0, 0.2), (str(slow), None, 0.2)):
         with ServiceProcess("executor", endpoint, tmp_path, robot=robot) as process:
             process.wait_ready(bus, KEYS)
-            if told is not None:
-                assert Client(bus).speed(told) == told
+            if reported is not None:
+                assert Client(bus).speed(reported) == reported
             process.kill()
         with ServiceProcess("executor", endpoint, tmp_path, robot=robot) as again:
             again.wait_ready(bus, KEYS)

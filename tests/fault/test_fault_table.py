@@ -220,17 +220,18 @@ def half_a_second_late(trace: np.ndarray, true: dict[str, object]) -> dict[str, 
 def other_order(place: Arena) -> Iterator[str | None]:
     """Each of the driver's messages comes a second time, in ever another order."""
     orders = itertools.cycle(itertools.permutations(range(6)))
-    usual = place.told[-1].joint_names
+    usual = place.reported[-1].joint_names
 
     ended, lock = threading.Event(), threading.Lock()
 
-    def turn(_: str, told: JointState) -> None:
-        if told.joint_names == usual:
+    def turn(_: str, reported: JointState) -> None:
+        if reported.joint_names == usual:
             order = next(orders)
             names, position, velocity = (
-                tuple(row[index] for index in order) for row in (told.joint_names, told.position, told.velocity)
+                tuple(row[index] for index in order)
+                for row in (reported.joint_names, reported.position, reported.velocity)
             )
-            stamp = told.stamp + 1e-3
+            stamp = reported.stamp + 1e-3
             with lock:
                 if not ended.is_set():
                     again.put(JointState(stamp=stamp, joint_names=names, position=position, velocity=velocity))  # type: ignore[arg-type]
@@ -284,12 +285,14 @@ def link_silent(name: str) -> Fault:
 
 def clock_stepped(name: str) -> Fault:
     def fault(place: Arena) -> Iterator[str | None]:
-        told = place.told if name == "driver" else place.ghost()
+        reported = place.reported if name == "driver" else place.ghost()
         yield place.go()
         for hour in (3600, -3600):
-            before = told[-1].stamp
+            before = reported[-1].stamp
             place.clocks[name].step(hour)
-            eventually(lambda hour=hour, before=before: (told[-1].stamp - before) / hour > 0.9, "the clock has stepped")  # type: ignore[misc]
+            eventually(
+                lambda hour=hour, before=before: (reported[-1].stamp - before) / hour > 0.9, "the clock has stepped"
+            )  # type: ignore[misc]
         yield None
         place.clocks[name].step(0)
 

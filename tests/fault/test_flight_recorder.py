@@ -62,9 +62,9 @@ def test_a_fault_leaves_a_record_of_all_that_led_to_it(moving: Driven) -> None:
     assert len(sent) > 10
 
     measured = of(entries, KEYS.joint_states)
-    told = of(entries, KEYS.driver_joint_states)
+    reported = of(entries, KEYS.driver_joint_states)
     assert {encode(state) for state in moving.client.measured} & set(measured)
-    assert {encode(state) for state in moving.told} & set(told)
+    assert {encode(state) for state in moving.reported} & set(reported)
     first, last = (np.array(json.loads(payload)["position"]) for payload in (measured[0], measured[-1]))
     assert np.max(np.abs(last - first)) > 0.05  # the motion is in it, not only its end
 

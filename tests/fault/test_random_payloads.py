@@ -236,7 +236,7 @@ def test_the_executor_and_the_driver_take_any_payload_and_the_robot_stands(
     with driven(bus, endpoint, tmp_path, "joint_speed") as robot:
         first = robot.at_rest()
         sizes = Sizes(robot.executor, robot.driver)
-        told, measured = robot.told[-1], len(robot.client.measured)
+        reported, measured = robot.reported[-1], len(robot.client.measured)
         sent = shout((*EXECUTOR, *DRIVER), endpoint, sizes)
         assert sent > 0.8 * COUNT
         for service, process in (("executor", robot.executor), ("leeloo_sim", robot.driver)):
@@ -244,8 +244,10 @@ def test_the_executor_and_the_driver_take_any_payload_and_the_robot_stands(
             health = bus.call(KEYS.health(service), m.Nothing(), timeout=PATIENCE)
             assert health.pid == process.process.pid
         np.testing.assert_array_equal(robot.at_rest(), first)
-        mine = [state for state in robot.told if state.joint_names == told.joint_names and not any(state.velocity)]
-        assert {state.position for state in mine} == {told.position}
+        mine = [
+            state for state in robot.reported if state.joint_names == reported.joint_names and not any(state.velocity)
+        ]
+        assert {state.position for state in mine} == {reported.position}
         assert {state.position for state in robot.client.measured[measured:]} == {tuple(first.tolist())}
         assert not any(any(state.velocity) for state in robot.client.measured[measured:])
         assert {goal.goal_id for goal in robot.client.goals} == set()

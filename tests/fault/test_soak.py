@@ -66,8 +66,8 @@ def test_plans_are_executed_back_to_back_and_nothing_grows(bus: Bus, endpoint: s
             np.testing.assert_allclose(client.position(), plan.trajectory.position[-1], atol=0.005)
             goals += 1
             taken.append((time.monotonic() - began, [burden(service) for service in services]))
-            for told in (client.measured, client.goals, client.states):
-                told.clear()
+            for reported in (client.measured, client.goals, client.states):
+                reported.clear()
         state = client.state()
         assert state.mode == "idle"
         assert state.problem is None

@@ -62,13 +62,13 @@ def robot(bus: Bus, endpoint: str, tmp_path: Path) -> Iterator[Driven]:
 def samples_until_rest(robot: Driven, first: int) -> int:
     """How many joint states the arm told from the one with this number on until it stood for good."""
     robot.at_rest()
-    moving = [number for number, state in enumerate(robot.told) if any(state.velocity)]
+    moving = [number for number, state in enumerate(robot.reported) if any(state.velocity)]
     return max(0, moving[-1] + 1 - first)
 
 
 def brakes_once(robot: Driven, first: int) -> bool:
     """Whether the arm, from that joint state on, only ever became slower once it had begun to."""
-    speed = np.array([np.linalg.norm(state.velocity) for state in robot.told[first:]])
+    speed = np.array([np.linalg.norm(state.velocity) for state in robot.reported[first:]])
     slowest = np.minimum.accumulate(speed[int(speed.argmax()) :])
     return bool(np.all(speed[int(speed.argmax()) :] <= slowest + RIPPLE))
 
@@ -78,7 +78,7 @@ def test_of_a_thousand_cancels_each_is_answered_and_the_robot_brakes_once(robot:
         goal_id = robot.client.execute(THERE)
         cancels = [CancelRequest(goal_id=goal_id if number % 2 else f"goal-{number}") for number in range(1000)]
         robot.client.under_way(goal_id)
-        first = len(robot.told)
+        first = len(robot.reported)
         answers = clients.let_loose([(KEYS.cancel, cancel) for cancel in cancels])
     assert Counter(answer.code for answer in answers) == {"ok": 1000}
     assert {decode(ExecutorState, answer.reply.encode()).mode for answer in answers} <= {"running", "stopping", "idle"}
@@ -104,8 +104,8 @@ def test_of_a_hundred_requests_to_move_one_does_and_the_others_are_refused(robot
 def test_of_many_switches_at_once_each_is_answered_and_one_strategy_is_active(
     robot: Driven, endpoint: str, seed: int
 ) -> None:
-    told: list[Strategies] = []
-    robot.bus.subscribe(KEYS.strategy, lambda _, strategies: told.append(strategies))
+    reported: list[Strategies] = []
+    robot.bus.subscribe(KEYS.strategy, lambda _, strategies: reported.append(strategies))
     choice = random.Random(seed)
     names = ("emulator", "joint_speed", "joint_trajectory", "ghost")
     requests: list[tuple[str, Message]] = [
@@ -132,7 +132,7 @@ def test_of_many_switches_at_once_each_is_answered_and_one_strategy_is_active(
     assert state.problem is None
     active = robot.client.strategy().active
     assert state.strategy == active
-    eventually(lambda: told and told[-1].active == active, "the active strategy has been published last")
+    eventually(lambda: reported and reported[-1].active == active, "the active strategy has been published last")
     robot.at_rest()
     assert robot.client.stands()
     if active == "ghost":

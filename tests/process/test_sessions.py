@@ -113,9 +113,9 @@ def test_a_pose_is_reached_to_a_millimetre_beside_a_wall_and_one_behind_it_says_
         behind = zarm.Pose(np.add(here.position, (0.5, 0.1, 0.0)), here.orientation)
 
         def says_the_wall() -> bool:
-            with pytest.raises(DeadlineExceeded) as told:
+            with pytest.raises(DeadlineExceeded) as reported:
                 tracking.reach(behind, timeout=1.0)
-            return "wall" in str(told.value)
+            return "wall" in str(reported.value)
 
         eventually(says_the_wall, "it says what is in the way")
         tracking.reach(HOME, timeout=PATIENCE)

@@ -90,8 +90,8 @@ def test_an_accepted_goal_goes_on_to_its_end_without_the_wire_and_is_told_when_i
         assert end.status == "succeeded"
         assert end_of(place.here, goal_id) is None
         place.restore()
-        told = eventually(lambda: place.here.goal(goal_id).status, "the workstation is told of the end")
-        assert told == "succeeded"
+        reported = eventually(lambda: place.here.goal(goal_id).status, "the workstation is told of the end")
+        assert reported == "succeeded"
         place.goes_on()
 
 
@@ -107,22 +107,22 @@ def test_zarm_execute_says_how_a_motion_ended_that_it_did_not_see_end(place: Lab
 
 
 def test_a_robot_whose_driver_is_beyond_the_wire_rests_and_is_in_fault(place: Lab) -> None:
-    told: list[JointState] = []
-    place.workstation.bus.subscribe(KEYS.driver_joint_states, lambda _, state: told.append(state))
+    reported: list[JointState] = []
+    place.workstation.bus.subscribe(KEYS.driver_joint_states, lambda _, state: reported.append(state))
     with place.driver(place.workstation):
         goal_id = slow(place)
-        assert any(told[-1].velocity)
+        assert any(reported[-1].velocity)
         place.wire.become(CUT)
         end = eventually(lambda: end_of(place.there, goal_id), "the executor has stopped")
         assert (end.status, end.problem and end.problem.code) == ("aborted", "driver_stalled")
         assert place.there.state().mode == "fault"
-        eventually(lambda: not any(told[-1].velocity), "the driver has stopped the robot by itself")
-        rested = told[-1].position
+        eventually(lambda: not any(reported[-1].velocity), "the driver has stopped the robot by itself")
+        rested = reported[-1].position
         place.restore()
         assert place.here.ended(goal_id).status == "aborted"
-        seen = len(told)
-        eventually(lambda: len(told) > seen + 50, "the driver tells the joints")
-        assert {state.position for state in told[seen:]} == {rested}
+        seen = len(reported)
+        eventually(lambda: len(reported) > seen + 50, "the driver tells the joints")
+        assert {state.position for state in reported[seen:]} == {rested}
         assert place.here.command(KEYS.reset).mode == "idle"
         place.goes_on()
 

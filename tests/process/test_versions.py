@@ -140,11 +140,11 @@ def test_a_publication_of_another_contract_is_not_taken(planner: ServiceProcess,
 
 
 def test_the_health_of_a_later_version_is_read_whatever_it_adds() -> None:
-    told = {
+    reported = {
         "service": "planner", "robot": "arm", "instance": "a", "ready": True, "activity": "serving", "version": "9.0.0",
         "contract": "v4", "robot_hash": "0", "uptime": 1.0, "pid": 7, "what_v4_adds": [1],
     }  # fmt: skip
-    assert Health.model_validate_json(json.dumps(told)).version == "9.0.0"
+    assert Health.model_validate_json(json.dumps(reported)).version == "9.0.0"
 
 
 def test_different_files_of_a_robot_are_said_loudly_and_no_plan_is_executed(

@@ -83,11 +83,11 @@ class Arm:
         kind, coming = type(messages[0]), chain(messages, repeat(messages[-1]))
         if topic not in self._publishers:  # they stay, as nothing of a node may go while its thread waits for it
             self._publishers[topic] = self.node.create_publisher(kind, f"{NODE}/{topic}", 10)
-        told, paused, ended = len(self.texts), 0.0, threading.Event()
+        report, paused, ended = len(self.texts), 0.0, threading.Event()
 
         def command() -> None:
-            nonlocal told, paused
-            new, told = self.texts[told:], len(self.texts)
+            nonlocal report, paused
+            new, report = self.texts[report:], len(self.texts)
             if heeding and any(PAUSE in text.data for text in new):
                 paused = time.monotonic() + 2 * RELEASE_SECONDS
             if time.monotonic() > paused and not ended.is_set():
@@ -128,7 +128,9 @@ def arm(clients: Arm) -> Iterator[Arm]:
 
 def on_target(goal: Sent) -> Any:
     """The first feedback on target."""
-    return eventually(lambda: next((told for told in goal.feedback if told.on_target), None), "the robot is on target")
+    return eventually(
+        lambda: next((report for report in goal.feedback if report.on_target), None), "the robot is on target"
+    )
 
 
 def test_mpc_keeps_following_after_it_is_on_target_until_it_is_cancelled(arm: Arm) -> None:
@@ -136,12 +138,12 @@ def test_mpc_keeps_following_after_it_is_on_target_until_it_is_cancelled(arm: Ar
     there = arm.beside(y=0.08)
     goal = arm.execute.send(target_pose=there)
     assert goal.accepted
-    told = on_target(goal)
+    report = on_target(goal)
     assert goal.feedback[0].state == "TRACKING"
-    assert (told.state, told.hold_count >= 1, told.step_progression) == ("ON_TARGET", True, 1.0)
-    assert 0.0 <= told.position_error < 0.01
-    assert 0.0 <= told.orientation_error < 0.05
-    assert len(told.joint_command.position) == 6
+    assert (report.state, report.hold_count >= 1, report.step_progression) == ("ON_TARGET", True, 1.0)
+    assert 0.0 <= report.position_error < 0.01
+    assert 0.0 <= report.orientation_error < 0.05
+    assert len(report.joint_command.position) == 6
     arm.lead_to(arm.beside(y=-0.05, z=0.05))
     goal.cancel()
     status, result = goal.ended()
@@ -257,7 +259,7 @@ def test_a_twist_moves_the_tip_along_the_axes_of_its_frame_and_silence_brakes(ar
         eventually(lambda: arm.away_from(start) > 0.02, "the tip moves")
         pause()
         arm.robot.wait_rest()
-    assert {told.data for told in statuses} - {INVALID} == {NO_WARNING}  # a busy machine pauses sessions
+    assert {report.data for report in statuses} - {INVALID} == {NO_WARNING}  # a busy machine pauses sessions
     moved = np.subtract(_xyz(arm.tip().position), _xyz(start.position))
     axis = np.array((0.0, 0.0, -1.0)) if frame == "base_link" else -_z_axis(start)
     assert moved @ axis > 0.98 * np.linalg.norm(moved)
@@ -279,11 +281,11 @@ def test_commands_that_are_none_are_refused_in_the_status(arm: Arm) -> None:
     lost = TwistStamped()
     lost.header.frame_id = "camera"
     with arm.commanding("delta_twist_cmds", lost):
-        eventually(lambda: any("camera" in told.data for told in texts), "the frame is refused")
+        eventually(lambda: any("camera" in report.data for report in texts), "the frame is refused")
     nothing = JointState(velocity=[float("nan")] * 6)
     with arm.commanding("delta_joint_cmds", nothing):
-        eventually(lambda: any("velocity[0]" in told.data for told in texts), "the number is refused")
-    assert {told.data for told in statuses} == {-1}
+        eventually(lambda: any("velocity[0]" in report.data for report in texts), "the number is refused")
+    assert {report.data for report in statuses} == {-1}
     assert arm.robot.rests()
 
 
@@ -295,12 +297,12 @@ def test_a_robot_that_was_stopped_stays_at_rest_until_the_commands_have_paused(a
     with arm.commanding("delta_twist_cmds", command, heeding=False):
         eventually(lambda: arm.away_from(start) > 0.005, "the tip moves")
         arm.robot.bus.call(KEYS.cancel, CancelRequest(), timeout=PATIENCE)
-        eventually(lambda: any(PAUSE in told.data for told in texts[before:]), "it is told")
+        eventually(lambda: any(PAUSE in report.data for report in texts[before:]), "it is told")
         arm.robot.wait_rest()
-        stopped, told = arm.robot.joints(), len(texts)
+        stopped, report = arm.robot.joints(), len(texts)
         arm.robot.plan()  # which takes longer than many commands
         assert arm.robot.joints() == stopped
-        assert all(PAUSE in text.data for text in texts[told:])
+        assert all(PAUSE in text.data for text in texts[report:])
 
 
 def _z_axis(pose: Pose) -> np.ndarray:

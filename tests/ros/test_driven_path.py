@@ -24,7 +24,7 @@ class Lab:
     """A client on ROS, and what the driver tells of the arm."""
 
     ros: RosClient
-    told: list[JointState]
+    report: list[JointState]
     actions: Actions
 
     def switch(self, strategy: str) -> None:
@@ -48,7 +48,7 @@ class Lab:
         """Where the arm stands: where the driver tells the same again and again."""
 
         def standing() -> JointState | None:
-            last = self.told[-30:]
+            last = self.report[-30:]
             return last[-1] if len(last) == 30 and len({tuple(state.position) for state in last}) == 1 else None
 
         state = eventually(standing, "the arm stands")
@@ -60,22 +60,22 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     with stack(tmp_path_factory.mktemp("lab"), leeloo_sim=("--ros",)) as running:
         carried = running.bus.latest(KEYS.driver_joint_states)
         eventually(carried.get, "the joints of the driver have reached the bus")
-        told = running.ros.heard(JointState, "/dsr01/joint_states", 100)
+        report = running.ros.heard(JointState, "/dsr01/joint_states", 100)
         answered = running.ros.call(SetPlanner, "set_planner", planner_type=SetPlanner.Request.JOINT_SPACE)
         assert answered.success, answered.message
-        yield Lab(running.ros, told, Actions(running.ros.node))
+        yield Lab(running.ros, report, Actions(running.ros.node))
 
 
 @pytest.mark.slow
 def test_tutorial_4_with_the_driver_plan_stream_cancel_switch_and_back_to_the_emulator(lab: Lab) -> None:
     lab.switch("joint_speed")
     lab.plan(FAR)
-    told = lab.execute().feedback
+    report = lab.execute().feedback
     np.testing.assert_allclose(lab.arm(), FAR, atol=0.005)
-    progress = [message.step_progression for message in told]
+    progress = [message.step_progression for message in report]
     assert progress == sorted(progress)
     assert len(set(progress)) > 3
-    assert all(list(message.joint_command.name) == list(ROBOT.descriptor.joints) for message in told)
+    assert all(list(message.joint_command.name) == list(ROBOT.descriptor.joints) for message in report)
 
     lab.plan(HOME)
     sent = lab.actions.send()
@@ -96,6 +96,6 @@ def test_the_first_version_of_the_path_sends_the_whole_trajectory_and_reads_the_
     start = lab.arm()
     goal = start + (0.0, 0.0, 0.0, 0.0, 0.0, 0.8)
     lab.plan(goal)
-    told = lab.execute().feedback
+    report = lab.execute().feedback
     np.testing.assert_allclose(lab.arm(), goal, atol=0.005)
-    assert len({message.step_progression for message in told}) > 3
+    assert len({message.step_progression for message in report}) > 3

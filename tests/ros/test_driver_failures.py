@@ -99,9 +99,9 @@ class Lab:
         self.robot.plan()
         status, result = self.actions.send().ended()
         assert (status, result.message) == (ABORTED, f"the executor is in fault: {why}")
-        told = self.ros.call(Trigger, "get_robot_strategy")
+        report = self.ros.call(Trigger, "get_robot_strategy")
         switched = self.ros.call(SetRobotStrategy, "set_robot_strategy", robot_strategy=self.client.state().strategy)
-        for answered in (told, switched):
+        for answered in (report, switched):
             assert answered.success
             assert answered.message.endswith(f"; the robot is in fault: {why}")
         reset = self.ros.call(Trigger, "reset_fault")
@@ -148,14 +148,14 @@ def test_a_goal_whose_driver_is_killed_is_aborted_and_a_new_driver_moves_the_rob
 def test_a_robot_whose_driver_tells_only_what_cannot_be_read_is_stopped(lab: Lab) -> None:
     lab.new_driver(HOME)
     lab.switch("joint_speed")
-    told = lab.ros.node.create_publisher(JointState, M1013.strategy_params.joint_states_topic, 10)
-    eventually(told.get_subscription_count, "the bridge listens")
+    report = lab.ros.node.create_publisher(JointState, M1013.strategy_params.joint_states_topic, 10)
+    eventually(report.get_subscription_count, "the bridge listens")
     goal = lab.under_way()
     lab.bus.call(KEYS.simulated_fault, DriverFault(silent=True), timeout=10)
 
     def in_fault() -> bool:
         for message in NONSENSE.values():
-            told.publish(message)
+            report.publish(message)
         return lab.client.state().mode == "fault"
 
     eventually(in_fault, "the executor has noticed")

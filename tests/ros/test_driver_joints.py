@@ -41,7 +41,7 @@ def drivers(draw: st.DrawFn) -> list[RosJointState]:
     return messages
 
 
-def told(read: Any, message: Any) -> JointState | tuple[str | None, str]:
+def report(read: Any, message: Any) -> JointState | tuple[str | None, str]:
     """What `read` makes of it, or the field that it refuses and why."""
     try:
         state: JointState = read(message)
@@ -55,7 +55,7 @@ def told(read: Any, message: Any) -> JointState | tuple[str | None, str]:
 def test_a_serialized_message_is_read_as_the_message_itself(messages: list[RosJointState]) -> None:
     driver = DriverJointStates(JOINTS, JOINTS)
     for message in messages:
-        assert told(driver.read, serialize_message(message)) == told(
+        assert report(driver.read, serialize_message(message)) == report(
             lambda whole: driver_joint_state(whole, JOINTS, JOINTS), message
         )
 
@@ -65,5 +65,5 @@ def test_after_a_number_that_is_none_the_next_message_is_read() -> None:
     for position in (0.5, math.nan, 0.6):
         message = RosJointState(name=list(JOINTS), position=[0.1, position, 0.3], velocity=[0.0] * 3)
         message.header.stamp.sec = 1
-        read = told(driver.read, serialize_message(message))
+        read = report(driver.read, serialize_message(message))
         assert read[0] == "position" if math.isnan(position) else read.position[1] == position

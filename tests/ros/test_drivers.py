@@ -16,7 +16,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from support.executor.client import Client
 from support.harness import ServiceProcess, eventually, router
-from support.ros.client import RosClient, told
+from support.ros.client import RosClient, report
 from support.ros.node import destroyed
 from support.ros.stack import controller
 from support.trajectories import patient, rest_to_rest
@@ -98,7 +98,9 @@ def test_a_late_command_does_not_reach_the_driver(bus: Bus, bridge: ServiceProce
     heard = ros.heard(JointTrajectory, "/leeloo/execute_trajectory")
     names, row = M1013.descriptor.joints, (0.0,) * 6
     commands = bus.publisher(Keys("doosan_m1013").driver_command)
-    told(heard, lambda: commands.put(m.DriverCommand(sequence=1, joint_names=names)), "the bridge knows of the driver")
+    report(
+        heard, lambda: commands.put(m.DriverCommand(sequence=1, joint_names=names)), "the bridge knows of the driver"
+    )
     based_on = told_joints(bus, ros)
     for sequence, stamp, expires_after, points in (
         (2, based_on, 1e-6, 2),
@@ -126,7 +128,9 @@ def test_commands_reach_the_driver_as_they_are(bus: Bus, bridge: ServiceProcess,
     names = M1013.descriptor.joints
     rows = tuple(tuple(0.1 * i + j for j in range(6)) for i in range(2))
     commands = bus.publisher(Keys("doosan_m1013").driver_command)
-    told(heard, lambda: commands.put(m.DriverCommand(sequence=1, joint_names=names)), "the bridge knows of the driver")
+    report(
+        heard, lambda: commands.put(m.DriverCommand(sequence=1, joint_names=names)), "the bridge knows of the driver"
+    )
     commands.put(
         m.DriverCommand(
             sequence=2, joint_names=names, time=(0.0, 0.02), position=rows, velocity=rows, acceleration=rows, **fresh
@@ -223,7 +227,7 @@ def test_progress_is_of_the_command_that_was_sent_last(bus: Bus, bridge: Service
         time=(0.0, 0.1, 0.2, 0.3),
         position=(row,) * 4,
     )
-    told(sent, lambda: commands.put(command), "the command has come")
+    report(sent, lambda: commands.put(command), "the command has come")
     for value in (math.nan, 0.25, 0.5):
         publisher.publish(Float32(data=value))
     eventually(lambda: len(heard) == 2, "the progress has come")
@@ -235,10 +239,10 @@ def test_a_driver_that_comes_late_and_again_is_heard(bus: Bus, bridge: ServicePr
     for position in (VALUES, [value + 0.1 for value in VALUES]):
         publisher = ros.node.create_publisher(JointState, "/dsr01/joint_states", 10)
         eventually(publisher.get_subscription_count, "the bridge listens")
-        told = _state(HUMBLE, position)
+        report = _state(HUMBLE, position)
         eventually(
-            lambda publisher=publisher, told=told, at=position: (
-                publisher.publish(told) or ((s := latest.get()) and list(s.position) == at)
+            lambda publisher=publisher, report=report, at=position: (
+                publisher.publish(report) or ((s := latest.get()) and list(s.position) == at)
             ),
             "the joints have come",
         )
@@ -275,7 +279,7 @@ def test_a_bridge_that_ends_while_a_driver_tells_its_joints_ends_in_order(
             eventually(publisher.get_subscription_count, "the bridge listens")
             telling = ros.node.create_timer(0.0005, lambda state=state: publisher.publish(state))
             eventually(
-                lambda stamp=stamp: (told := latest.get()) and told.stamp == stamp, "the bridge carries its joints"
+                lambda stamp=stamp: (report := latest.get()) and report.stamp == stamp, "the bridge carries its joints"
             )
         destroyed(ros.node, ros.node.destroy_timer, telling)
         assert "Traceback" not in bridge.output()

@@ -253,8 +253,8 @@ def test_the_parameters_follow_an_executor_that_starts_with_another_strategy(zar
     assert parameters.wait_for_services(PATIENCE)
 
     def strategy() -> str:
-        told = answer(parameters.get_parameters(["control_strategy"]), "the parameter is told")
-        return str(told.values[0].string_value)
+        report = answer(parameters.get_parameters(["control_strategy"]), "the parameter is told")
+        return str(report.values[0].string_value)
 
     zarm.bus.call(KEYS.strategy, StrategyRequest(strategy="ghost"), timeout=10)
     eventually(lambda: strategy() == "ghost", "the parameter follows")

@@ -140,16 +140,16 @@ def test_a_goal_is_executed_and_its_feedback_is_as_the_generation_has_it(arm: Ty
     ended = go(arm, **to(arm, there))
     assert ended["status"] == GoalStatus.STATUS_SUCCEEDED, ended["result"]["message"]
     assert ended["result"] == {"success": True, "message": "Trajectory executed successfully"}
-    told = ended["feedback"]
-    assert told[-1]["step_progression"] == 1.0
-    assert len(told[-1]["joint_command"]["position"]) == 6
+    report = ended["feedback"]
+    assert report[-1]["step_progression"] == 1.0
+    assert len(report[-1]["joint_command"]["position"]) == 6
     if arm.generation == "a":
-        assert list(told[-1]) == ["joint_command", "step_progression"]
+        assert list(report[-1]) == ["joint_command", "step_progression"]
     else:
-        assert list(dict.fromkeys(one["state"] for one in told)) == ["PLANNING", "EXECUTING"]
+        assert list(dict.fromkeys(one["state"] for one in report)) == ["PLANNING", "EXECUTING"]
         errors = ("position_error", "orientation_error", "controller_position_error", "controller_orientation_error")
-        assert {told[-1][error] for error in errors} == {0.0}
-        assert (told[-1]["on_target"], told[-1]["hold_count"]) == (False, 0)
+        assert {report[-1][error] for error in errors} == {0.0}
+        assert (report[-1]["on_target"], report[-1]["hold_count"]) == (False, 0)
     followed = arm.send("mpc_move", "MpcMove", target_pose=there)
     assert (followed["status"], followed["result"]["success"]) == (GoalStatus.STATUS_SUCCEEDED, True)
     assert followed["feedback"][-1]["step_progression"] == 1.0
@@ -162,7 +162,7 @@ def test_a_goal_reuses_the_plan_to_the_same_goal_where_it_may(arm: Typed) -> Non
         assert arm.call("generate_trajectory", "TrajectoryGeneration", **there)["success"]
         ended = go(arm, **there, allow_cached=cached)
         assert ended["status"] == GoalStatus.STATUS_SUCCEEDED, ended["result"]["message"]
-        assert ("PLANNING" in {told["state"] for told in ended["feedback"]}) is not cached
+        assert ("PLANNING" in {report["state"] for report in ended["feedback"]}) is not cached
     elsewhere = {"name": list(ROBOT.descriptor.joints), "position": [1.0, *HOME[1:]]}
     away = go(arm, target_joint_positions=HOME, start_pose=elsewhere)
     assert (away["status"], away["feedback"][-1]["state"]) == (GoalStatus.STATUS_ABORTED, "PLANNING")

@@ -213,12 +213,12 @@ def test_an_action_takes_its_goal_and_gives_feedback_and_a_result(node: Node) ->
         state="executing", step_progression=0.5, joint_command=JointState(name=["joint_1"], position=[0.1])
     )
     ended = action.SendTrajectory.Result(success=True, message="done")
-    told = []
+    report = []
 
     def execute(goal: ServerGoalHandle) -> action.SendTrajectory.Result:
         assert goal.request == asked
         goal.publish_feedback(halfway)
-        eventually(lambda: told, "the client has the feedback")
+        eventually(lambda: report, "the client has the feedback")
         goal.succeed()
         return ended
 
@@ -226,8 +226,8 @@ def test_an_action_takes_its_goal_and_gives_feedback_and_a_result(node: Node) ->
         ActionServer(server, action.SendTrajectory, "execute_trajectory", execute)
         client = ActionClient(node, action.SendTrajectory, "execute_trajectory")
         eventually(client.server_is_ready, "the action is found")
-        sent = on_its_thread(node, lambda: client.send_goal_async(asked, told.append))
+        sent = on_its_thread(node, lambda: client.send_goal_async(asked, report.append))
         goal = answer(sent, "the goal is accepted")
         result = answer(on_its_thread(node, goal.get_result_async), "the goal ends")
     assert (result.status, result.result) == (GoalStatus.STATUS_SUCCEEDED, ended)
-    assert [message.feedback for message in told] == [halfway]
+    assert [message.feedback for message in report] == [halfway]

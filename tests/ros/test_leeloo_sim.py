@@ -40,7 +40,7 @@ def trajectory(
 
 @dataclasses.dataclass
 class Arm:
-    """The process `driver`, what it has told so far, and `command` that sends it a trajectory."""
+    """The process `driver`, what it has report so far, and `command` that sends it a trajectory."""
 
     bus: Bus
     keys: Keys
@@ -81,7 +81,9 @@ def driven(node: Node, folder: Path, *arguments: str, robot: str = "doosan_m1013
     progress: list[float] = []
     node.create_subscription(JointState, params.joint_states_topic, states.append, EVERY_MESSAGE)
     if params.state_topic is not None:
-        node.create_subscription(Float32, params.state_topic, lambda told: progress.append(told.data), EVERY_MESSAGE)
+        node.create_subscription(
+            Float32, params.state_topic, lambda report: progress.append(report.data), EVERY_MESSAGE
+        )
     command = node.create_publisher(JointTrajectory, params.command_topic, 10)
     options = ("--ros", "--trace", str(trace), *arguments)
     with (
@@ -147,10 +149,10 @@ def test_an_empty_trajectory_stops_it_and_is_not_told_as_progress(arm: Arm) -> N
     arm.moving()
     arm.command(trajectory())
     arm.at_rest()
-    told = len(arm.progress)
+    report = len(arm.progress)
     assert arm.progress[-1] < 1.0
     arm.at_rest()
-    assert len(arm.progress) == told
+    assert len(arm.progress) == report
 
 
 @pytest.mark.slow  # as in unit/leeloo_sim/test_player.py

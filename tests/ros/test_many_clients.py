@@ -50,8 +50,8 @@ def test_fifty_clients_at_once_are_all_answered_and_leave_nothing_behind(running
             for _ in range(times):
                 answers = clients.ask()
                 assert [one for one in answers if not one.success] == [], bridge.output()
-                told = Counter(one.service for one in answers)
-                assert told == dict.fromkeys(("generate_trajectory", "get_robot_strategies", "fk"), PROCESSES * NODES)
+                report = Counter(one.service for one in answers)
+                assert report == dict.fromkeys(("generate_trajectory", "get_robot_strategies", "fk"), PROCESSES * NODES)
 
     crowd(1)  # which starts every thread and fills every pool
     before = burden(bridge)

@@ -62,10 +62,10 @@ def test_a_callback_that_raises_is_logged_and_the_next_request_is_answered(
         failing.call_async(Trigger.Request())
         eventually(lambda: "a service fails" in caplog.text, "the failure is logged")
         answer(working.call_async(Trigger.Request()), "the next request is answered")
-        told = node.create_publisher(Bool, "told", 10)
-        eventually(told.get_subscription_count, "the node listens")
+        report = node.create_publisher(Bool, "told", 10)
+        eventually(report.get_subscription_count, "the node listens")
         for count in (1, 2):
-            told.publish(Bool(data=True))
+            report.publish(Bool(data=True))
             eventually(lambda at=count: len(heard) == at, "the message is heard")
         eventually(lambda: caplog.text.count("ValueError: a listener fails") == 2, "both failures are logged")
 
@@ -92,9 +92,9 @@ def test_it_reaches_whom_the_user_says_warns_where_nobody_did_and_shares_no_memo
         name: value for name, value in os.environ.items() if not name.startswith(("FASTRTPS_", "FASTDDS_", "ROS_"))
     }
     command = [*ALONE, sys.executable, "-c", who + REACH]
-    told = subprocess.run(command, env={**usual, **said}, capture_output=True, text=True, timeout=PATIENCE)
-    assert told.stdout.strip() == reach, told.stderr
-    assert ("whoever reaches it can move the robot" in told.stderr) == (reach.endswith("every interface"))
+    report = subprocess.run(command, env={**usual, **said}, capture_output=True, text=True, timeout=PATIENCE)
+    assert report.stdout.strip() == reach, report.stderr
+    assert ("whoever reaches it can move the robot" in report.stderr) == (reach.endswith("every interface"))
 
 
 SERVER = """

@@ -48,7 +48,7 @@ def jog(names: list[str], velocities: list[float], displacements: tuple[float, .
     return SimpleNamespace(joint_names=names, velocities=velocities, displacements=displacements)
 
 
-def told(send: Any) -> Any:
+def report(send: Any) -> Any:
     session = Told()
     send(session)
     return session.calls[0]
@@ -59,13 +59,13 @@ def told(send: Any) -> Any:
     [("", "base"), ("base_link", "base"), ("/base_link", "base"), ("link_6", "tool"), ("link6", "tool")],
 )
 def test_a_twist_is_along_the_axes_of_the_frame_of_its_header(frame: str, meant: str) -> None:
-    assert told(twist_of(twist(frame), ROBOT)) == ((0.1, 0.0, 0.0), (0.0, 0.0, 0.2), meant)
+    assert report(twist_of(twist(frame), ROBOT)) == ((0.1, 0.0, 0.0), (0.0, 0.0, 0.2), meant)
 
 
 def test_joint_speeds_are_by_name_and_the_others_stand_still() -> None:
-    assert told(joint_speed_of(JointState(name=["joint2"], velocity=[0.3]), ROBOT)) == (0.0, 0.3, 0.0, 0.0, 0.0, 0.0)
-    assert told(joint_speed_of(jog(["joint_6", "joint_1"], [0.6, 0.1]), ROBOT)) == (0.1, 0.0, 0.0, 0.0, 0.0, 0.6)
-    assert told(joint_speed_of(JointState(velocity=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), ROBOT)) == (1, 2, 3, 4, 5, 6)
+    assert report(joint_speed_of(JointState(name=["joint2"], velocity=[0.3]), ROBOT)) == (0.0, 0.3, 0.0, 0.0, 0.0, 0.0)
+    assert report(joint_speed_of(jog(["joint_6", "joint_1"], [0.6, 0.1]), ROBOT)) == (0.1, 0.0, 0.0, 0.0, 0.0, 0.6)
+    assert report(joint_speed_of(JointState(velocity=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), ROBOT)) == (1, 2, 3, 4, 5, 6)
 
 
 @pytest.mark.parametrize(

@@ -160,9 +160,9 @@ def test_version_1_doosan(bus: Bus) -> None:
 
 @pytest.mark.slow  # as the parameter is, in one_stack
 def test_version_1_refuses_a_robot_type_that_is_none(bus: Bus) -> None:
-    told = ros2(CHOOSE[""])
-    assert "Setting parameter failed" in told
-    assert "choose one of emulator, ghost, joint_speed, joint_pose, doosan_m1013" in told
+    report = ros2(CHOOSE[""])
+    assert "Setting parameter failed" in report
+    assert "choose one of emulator, ghost, joint_speed, joint_pose, doosan_m1013" in report
 
 
 @pytest.mark.slow  # every call is made in one_stack too
@@ -177,10 +177,10 @@ def test_version_2(bus: Bus) -> None:
     assert switched["success"]
     assert (switched["previous_robot_strategy"], switched["current_robot_strategy"]) == ("ghost", "emulator")
     assert "emulator" in ros2(ACTIVE)
-    told = ros2(EXECUTE_TARGET)
-    assert_executed(told)
+    report = ros2(EXECUTE_TARGET)
+    assert_executed(report)
     for name in ("state: EXECUTING", "step_progression: ", "joint_command:"):
-        assert name in told
+        assert name in report
 
 
 @pytest.mark.slow
@@ -188,9 +188,9 @@ def test_version_2_in_closed_loop(bus: Bus) -> None:
     assert yaml.safe_load(ros2(SWITCH))["success"]
     chosen = yaml.safe_load(ros2(PLANNER[1]))
     assert (chosen["success"], chosen["current_planner"]) == (True, "mpc")
-    told = ros2(MPC_MOVE)
-    assert "Target reached" in told
-    assert "Goal finished with status: SUCCEEDED" in told
+    report = ros2(MPC_MOVE)
+    assert "Target reached" in report
+    assert "Goal finished with status: SUCCEEDED" in report
     assert yaml.safe_load(ros2(PLANNER[0]))["previous_planner"] == "mpc"
 
 

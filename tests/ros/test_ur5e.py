@@ -44,8 +44,8 @@ def test_the_type_of_a_ur5e_is_its_own_name_in_both_versions(tmp_path: Path) -> 
                 return answered.success and answered.message == "Strategy switched from 'emulator' to 'ur5e'"
 
             eventually(moved, "the controller is heard, and the robot is what moves")
-            told = ur5e.ros.call(Trigger, "get_robot_strategy").message
-            assert told == "joint_trajectory"
+            report = ur5e.ros.call(Trigger, "get_robot_strategy").message
+            assert report == "joint_trajectory"
             second = ur5e.ros.call(SetRobotStrategy, "set_robot_strategy", robot_strategy="emulator")
             assert second.message == "Strategy switched from 'joint_trajectory' to 'emulator'"
             eventually(lambda: robot_type(node) == "emulator", "robot_type follows")

@@ -44,11 +44,11 @@ async def _in_thread(work: Callable[[], T], interruption: Interruption) -> T:
     """
     loop, done = asyncio.get_running_loop(), asyncio.Event()
 
-    def tell() -> None:
+    def wake() -> None:
         with suppress(RuntimeError):  # the loop has ended without waiting for this
             loop.call_soon_threadsafe(done.set)
 
-    future, _ = started(work, tell)
+    future, _ = started(work, wake)
     try:
         await done.wait()
     except asyncio.CancelledError:
@@ -122,23 +122,23 @@ async def _block(block: AbstractContextManager[T], interruption: Interruption) -
         await _in_thread(lambda: block.__exit__(None, None, None), interruption)
 
 
-def _told_in_loop(on_progress: OnProgress | None) -> OnProgress | None:
+def _reported_in_loop(on_progress: OnProgress | None) -> OnProgress | None:
     if on_progress is None:
         return None
-    loop, tell = asyncio.get_running_loop(), on_progress
+    loop, wake = asyncio.get_running_loop(), on_progress
 
     def progress(state: GoalState) -> None:
-        told: Future[None] = Future()
+        finished: Future[None] = Future()
 
         def call() -> None:
             try:
-                tell(state)
-                told.set_result(None)
+                wake(state)
+                finished.set_result(None)
             except Exception as error:  # raised where the goal is followed, which stops the robot
-                told.set_exception(error)
+                finished.set_exception(error)
 
         loop.call_soon_threadsafe(call)
-        told.result()
+        finished.result()
 
     return progress
 
@@ -216,13 +216,13 @@ class Robot(_Twin[zarm.robot.Robot]):
         on_progress: OnProgress | None = None,
     ) -> GoalState:
         """See `zarm.Robot.execute`."""
-        return await self._execute(what, preempt=preempt, replan=replan, on_progress=_told_in_loop(on_progress))
+        return await self._execute(what, preempt=preempt, replan=replan, on_progress=_reported_in_loop(on_progress))
 
     async def follow(
         self, goal_id: str, on_progress: OnProgress | None = None, *, timeout: float | None = None
     ) -> GoalState:
         """See `zarm.Robot.follow`."""
-        return await self._follow(goal_id, _told_in_loop(on_progress), timeout=timeout)
+        return await self._follow(goal_id, _reported_in_loop(on_progress), timeout=timeout)
 
 
 @asynccontextmanager

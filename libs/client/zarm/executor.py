@@ -237,13 +237,13 @@ class Executor(Calls):
     def _rest(self, goal_id: str) -> str:
         """Cancel a goal of this client and wait until the robot rests; returns its state in words."""
         with self._until_left():
-            told: ExecutorState | None = None
+            cancelled: ExecutorState | None = None
             with suppress(Unavailable):
-                told = self.cancel(goal_id)
+                cancelled = self.cancel(goal_id)
             known = self.connection.goals.known(goal_id)
-            if told is None and known is None:
+            if cancelled is None and known is None:
                 return self._unknown()
-            if told is not None and told.goal_id != goal_id and known is None:
+            if cancelled is not None and cancelled.goal_id != goal_id and known is None:
                 return "cancelled: the goal is withdrawn, and the robot has not moved for it"
             last = self.follow(goal_id, timeout=REST_SECONDS)
             return f"{last.status}: the robot stands still at {last.progress:.0%} of the motion"

@@ -55,17 +55,17 @@ class Goals:
         """
         interrupts.run_interruptibly(self.listen)
         seen: GoalState | None = None
-        began = heard = asked = time.monotonic()
+        began = reported_at = asked = time.monotonic()
         while seen is None or not seen.done:
             interrupts.check()
             self._bus.check_open()
             state = self._next(goal_id, seen)
             now = time.monotonic()
             if state is not seen:
-                seen, heard = state, now
-            elif now - heard > silence:
+                seen, reported_at = state, now
+            elif now - reported_at > silence:
                 raise self._unknown(f"has reported nothing about the goal {goal_id} for {silence:g} s")
-            elif now - max(heard, asked) > _ASK_AFTER:
+            elif now - max(reported_at, asked) > _ASK_AFTER:
                 interrupts.run_interruptibly(lambda: self._ask(goal_id))
                 asked = time.monotonic()
             if timeout is not None and now - began > timeout and not (seen is not None and seen.done):

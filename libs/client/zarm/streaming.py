@@ -86,7 +86,7 @@ class Stream:
 
     def _wait_heard(self) -> None:
         deadline = time.monotonic() + ANSWER_SECONDS
-        while not self._publisher.heard():
+        while not self._publisher.has_subscribers():
             if time.monotonic() > deadline:
                 raise Unavailable(
                     f"no executor accepts streams for {self._connection.keys.robot}; `zarm status` shows whether its executor runs"

@@ -21,13 +21,13 @@ class Expiry:
     """
 
     def __init__(self) -> None:
-        self._told: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
+        self._reports: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
         self._lock = threading.Lock()
 
-    def told(self, stamp: float, now: float) -> None:
+    def report(self, stamp: float, now: float) -> None:
         """A joint state with this stamp was reported at `now`."""
         with self._lock:
-            self._told.append((stamp, now))
+            self._reports.append((stamp, now))
 
     def in_time(self, command: DriverCommand, arrived: float) -> bool:
         """Whether a command that arrived at that time may begin. A stop always may.
@@ -41,5 +41,5 @@ class Expiry:
         if based_on is None or expires_after is None:
             return False
         with self._lock:
-            told = next((moment for stamp, moment in reversed(self._told) if stamp <= based_on), None)
-        return told is not None and arrived - told <= expires_after
+            report = next((moment for stamp, moment in reversed(self._reports) if stamp <= based_on), None)
+        return report is not None and arrived - report <= expires_after

@@ -66,7 +66,7 @@ class Publisher(Generic[M]):
             raise closed() from error
         self._observe(self._key, payload)
 
-    def heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether it has subscribers now."""
         status: Any = self._entity.matching_status  # Zenoh's stub says bool
         return bool(status.matching)

@@ -31,12 +31,12 @@ from zarm_runtime.version import version as version
 
 log = logging.getLogger(__name__)
 
-_WITHDRAWAL = 2.0
+_WITHDRAWAL_TIMEOUT = 2.0
 """Seconds that a starting service gives another one, starting at the same moment, to withdraw."""
 
-_WATCH_PERIOD = 1.0
+_OWNER_CHECK_PERIOD = 1.0
 """Interval (s) at which an older owner of the same robot is searched."""
-_GLANCE = 0.3
+_SEARCH_TIMEOUT = 0.3
 """Time limit (s) of that search, needed if no router is there."""
 
 
@@ -85,7 +85,7 @@ class Service:
 
     def check_running(self) -> None:
         """Raise Unavailable after SIGTERM or SIGINT, which makes `run_service` end the process in order; for long starts."""
-        if signals.heard:
+        if signals.received:
             raise _Stopped(f"the {self.name} is ending; wait until it is there again")
 
     def ready(self) -> None:
@@ -167,7 +167,7 @@ class Service:
         self.bus.declare_alive(self.keys.alive(self.name, self.instance))
         # An owner has seen no other token since it declared its own, so there is at most one. Of several that start at
         # the same moment, the one with the smallest id waits for the rest to withdraw; any that does not is an owner.
-        deadline = time.monotonic() + _WITHDRAWAL
+        deadline = time.monotonic() + _WITHDRAWAL_TIMEOUT
         while others := self._others():
             if min(others) < self.instance or time.monotonic() > deadline:
                 raise self.taken(others)
@@ -181,7 +181,7 @@ class Service:
         While a router is away its clients are not seen, and another instance may start as soon as the router is back,
         before the owner reconnects. The younger one, which started without need, must give way.
         """
-        older = [instance for instance in self._others(_GLANCE) if instance < self.instance]
+        older = [instance for instance in self._others(_SEARCH_TIMEOUT) if instance < self.instance]
         return min(older, default=None)
 
     def _others(self, timeout: float = 1.0) -> list[str]:
@@ -236,8 +236,8 @@ def run_service(
                 stack.enter_context(start(service))
             refusal = None
             while refusal is None:
-                signals.wait(_WATCH_PERIOD)
-                if ending or signals.heard:
+                signals.wait(_OWNER_CHECK_PERIOD)
+                if ending or signals.received:
                     break
                 refusal = next(
                     (service.taken([older]) for service in services if (older := service.older_owner())), None
@@ -247,7 +247,7 @@ def run_service(
             raise refusal
         if any(service.outdated for service in services):
             signal.pthread_sigmask(signal.SIG_BLOCK, signals.ENDING)  # signals from now on wait for the next program
-            if not signals.heard:
+            if not signals.received:
                 sys.stdout.flush()
                 os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # noqa: S606 - this very program
     except _Stopped:

@@ -16,7 +16,7 @@ from contextlib import suppress
 ENDING = (signal.SIGTERM, signal.SIGINT)
 """Signals that end a process in order."""
 
-heard: list[int] = []
+received: list[int] = []
 """Signals that have come since `expect`, by number."""
 
 _LONGEST = 3600.0
@@ -33,7 +33,7 @@ def expect() -> None:
     """From now on such a signal is only recorded; called by the main thread."""
     signal.set_wakeup_fd(_writer, warn_on_full_buffer=False)
     for number in ENDING:
-        signal.signal(number, lambda number, _: heard.append(number))
+        signal.signal(number, lambda number, _: received.append(number))
 
 
 def wake() -> None:

@@ -42,14 +42,14 @@ class Inbox(Generic[T]):
 class _Insistence:
     def __init__(self, tell: Callable[[], object]) -> None:
         self._tell = tell
-        self._told = False
+        self._explained = False
         self._until = time.monotonic() + _INSISTS
 
     def check(self) -> None:
-        if len(signals.heard) == 2 and not self._told:
-            self._told = True
+        if len(signals.received) == 2 and not self._explained:
+            self._explained = True
             self._tell()
-        if len(signals.heard) > 2 and time.monotonic() >= self._until:
+        if len(signals.received) > 2 and time.monotonic() >= self._until:
             raise KeyboardInterrupt
 
     def seconds(self) -> float:
@@ -70,7 +70,7 @@ _work = ThreadPoolExecutor(2, thread_name_prefix="attended")
 
 def pending() -> bool:
     """Whether a signal came and nothing has raised KeyboardInterrupt yet."""
-    return bool(signals.heard) and not _state.raised
+    return bool(signals.received) and not _state.raised
 
 
 def check() -> None:

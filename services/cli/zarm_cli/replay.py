@@ -56,25 +56,25 @@ def replay(
     out.print(f"{counted(count, 'message')} of {file} published as {publish}", soft_wrap=True)
 
 
-def _print(file: Path, told: Story) -> None:
+def _print(file: Path, summary: Story) -> None:
     table = Table("time (s)", "", "", box=None)
     table.columns[0].justify = "right"
-    for event in told.events:
+    for event in summary.events:
         table.add_row(f"{event.time:.3f}", event.subject, event.what)
-    counts, keys = told.counts, Keys(told.robot)
+    counts, keys = summary.counts, Keys(summary.robot)
     rows = [
         ("record", str(file)),
-        ("robot", told.robot),
-        ("began", f"{datetime.fromtimestamp(told.began / 1e9, UTC):%Y-%m-%d %H:%M:%S.%f} UTC"),
-        ("lasted", f"{told.lasted:.3f} s"),
+        ("robot", summary.robot),
+        ("began", f"{datetime.fromtimestamp(summary.began / 1e9, UTC):%Y-%m-%d %H:%M:%S.%f} UTC"),
+        ("lasted", f"{summary.lasted:.3f} s"),
         ("commands", f"{counts[keys.driver_command]} sent to a driver"),
         ("measured", counted(counts[keys.joint_states], "joint state")),
     ]
     if counts[keys.stream]:
         rows.append(("stream", counted(counts[keys.stream], "chunk")))
-    if told.unreadable:
-        rows.append(("unreadable", counted(told.unreadable, "message")))
-    if (far := told.deviation) is not None:
+    if summary.unreadable:
+        rows.append(("unreadable", counted(summary.unreadable, "message")))
+    if (far := summary.deviation) is not None:
         where = f"commanded {far.commanded:.4f}, measured {far.measured:.4f}"
         rows.append(("furthest off", f"{far.joint} by {far.size:.4f} rad at {far.time:.3f} s ({where})"))
     out.print(facts(*rows), "", table, sep="\n")

@@ -60,10 +60,10 @@ def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: N
     with connected(connect, name) as robot:
         bus, keys = robot.connection.bus, robot.connection.keys
         found = {service for _, service, _ in bus.alive(keys.alive("*", "*"))}
-        services = {one: _told(partial(robot.health, one)) for one in sorted(found | {*_NEEDED})}
-        state, scene = _told(robot.state), _told(robot.scene.read)
+        services = {one: _answered(partial(robot.health, one)) for one in sorted(found | {*_NEEDED})}
+        state, scene = _answered(robot.state), _answered(robot.scene.read)
         goal_id = None if state is None else state.goal_id
-        goal = None if goal_id is None else _told(partial(bus.read, keys.goal(goal_id), timeout=1.0))
+        goal = None if goal_id is None else _answered(partial(bus.read, keys.goal(goal_id), timeout=1.0))
     faults = list(mismatches({one: health for one, health in services.items() if health is not None}))
     if as_json:
         print_json(
@@ -93,7 +93,7 @@ def _not_ready(service: str, health: Health | None) -> str:
     return f"{service} not ready" + ("" if health is None else f" ({health.activity})")
 
 
-def _told(ask: Callable[[], M]) -> M | None:
+def _answered(ask: Callable[[], M]) -> M | None:
     try:
         return ask()
     except (Unavailable, InternalError):  # no answer, or one with another contract

@@ -74,9 +74,9 @@ def _reason(name: str, lines: Iterable[str]) -> str | None:
         if found := own.match(line):
             return found["reason"]
         if line.startswith("{"):
-            told = json.loads(line)
-            if told.get("service") == name and "reason" in told.get("fields", {}):
-                return str(told["fields"]["reason"])
+            entry = json.loads(line)
+            if entry.get("service") == name and "reason" in entry.get("fields", {}):
+                return str(entry["fields"]["reason"])
     return None
 
 

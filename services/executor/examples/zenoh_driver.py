@@ -44,7 +44,7 @@ class Driver:
     def __init__(self, session: zenoh.Session, robot: str, joints: list[str], arm: Arm) -> None:
         self._joints, self._arm, self._stepped = joints, arm, time.monotonic()
         self._newest: tuple[float, dict[str, Any]] = (0.0, {})
-        self._told: deque[tuple[float, float]] = deque(maxlen=1000)
+        self._reports: deque[tuple[float, float]] = deque(maxlen=1000)
         prefix = f"zarm/{robot}/driver"
         self._states = session.declare_publisher(f"{prefix}/joint_states", express=True)
         self._progress = session.declare_publisher(f"{prefix}/progress", express=True)
@@ -53,8 +53,8 @@ class Driver:
     def _receive(self, sample: zenoh.Sample) -> None:
         now, command = time.monotonic(), json.loads(sample.payload.to_bytes())
         based_on, expires_after = command.get("based_on", -1.0), command.get("expires_after", 0.0)
-        told = next((moment for stamp, moment in reversed([*self._told]) if stamp <= based_on), -1e9)
-        in_time = not command.get("time") or now - told <= expires_after
+        reported = next((moment for stamp, moment in reversed([*self._reports]) if stamp <= based_on), -1e9)
+        in_time = not command.get("time") or now - reported <= expires_after
         if in_time and sorted(command["joint_names"]) == sorted(self._joints):
             self._newest = now, command
 
@@ -73,7 +73,7 @@ class Driver:
         if times:
             self._progress.put(json.dumps({"sequence": command["sequence"], "fraction": played / len(times)}))
         joints = {"joint_names": self._joints, "position": self._arm.position, "velocity": self._arm.velocity}
-        self._told.append((stamp, now))
+        self._reports.append((stamp, now))
         self._states.put(json.dumps({"stamp": stamp, **joints}))
 
 

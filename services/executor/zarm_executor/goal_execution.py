@@ -54,7 +54,7 @@ class GoalExecution:
         self._limit: Limit | None = None
         self._speed_scale = 1.0
         self._changes = changes
-        self._seen = True
+        self._joints_reported = True
         self._failures: list[ExecutionFailed] = []
         if goal.chunk is not None:
             self._steerable()
@@ -247,13 +247,13 @@ class GoalExecution:
             self._enter(Running())
         try:
             if self.outcome is None:
-                self._see(goal.monitor.follow(now, dt, progress, measured))
-                self._obey(now, progress, guarded=guarded)
+                self._note_joint_reports(goal.monitor.follow(now, dt, progress, measured))
+                self._apply_authority(now, progress, guarded=guarded)
             if self._moving:
                 late = goal.late(now, self._held_until)
                 if late is not None:
                     self.end(Outcome("aborted", late))
-                elif self._seen and goal.complete:
+                elif self._joints_reported and goal.complete:
                     if goal.monitor.at_goal(now, progress, measured):
                         return self._finish(Outcome("succeeded"))
                     missed = goal.monitor.missed(now, progress, measured)
@@ -269,13 +269,13 @@ class GoalExecution:
             case _:
                 return self._come_to_rest(now, progress, measured)
 
-    def _see(self, seen: bool) -> None:
+    def _note_joint_reports(self, seen: bool) -> None:
         """Note whether the robot's joints are reported, and log when that changes."""
-        if seen and not self._seen:
+        if seen and not self._joints_reported:
             log.warning("the robot's joints are reported again goal_id=%s", self.goal.goal_id)
-        elif self._seen and not seen:
+        elif self._joints_reported and not seen:
             log.warning("the robot is held, its joints are not reported goal_id=%s", self.goal.goal_id)
-        self._seen = seen
+        self._joints_reported = seen
 
     def _come_to_rest(self, now: float, progress: Progress, measured: Measured | None) -> Outcome | None:
         try:
@@ -292,7 +292,7 @@ class GoalExecution:
                 self._state = replace(self._state, at_rest=True)
         return None
 
-    def _obey(self, now: float, progress: Progress, *, guarded: bool) -> None:
+    def _apply_authority(self, now: float, progress: Progress, *, guarded: bool) -> None:
         """Brake at the end of the authority or without a required servo; continue when that is over, or give up after a
         while.
         """
@@ -314,9 +314,9 @@ class GoalExecution:
         elif isinstance(self._state, Held) and now - held.since > self._guard.patience:
             self.end(Outcome("aborted", given_up(held.hold, self._guard.patience)))
         else:
-            self._say_what_is_in_the_way(held)
+            self._update_obstruction(held)
 
-    def _say_what_is_in_the_way(self, held: Held) -> None:
+    def _update_obstruction(self, held: Held) -> None:
         """Update the hold if another obstacle is now in the way."""
         before, found = held.hold.obstruction, None if self._limit is None else self._limit.obstruction
         if before is not None and found is not None and (before.object, before.link) != (found.object, found.link):

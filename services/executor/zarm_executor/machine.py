@@ -57,7 +57,7 @@ class Machine:
         self._ending = False
         self._lock = threading.RLock()
         self._rested = threading.Condition(self._lock)
-        self._told = threading.Condition(self._lock)
+        self._authority_changed = threading.Condition(self._lock)
         self._begun = threading.Condition(self._lock)
         self._ticked = threading.Condition(self._lock)
         self.changes: deque[GoalState] = deque()
@@ -205,14 +205,14 @@ class Machine:
             newer = self._guard.hear(authority, now)
             if newer and motion is not None and motion is self._motion and motion.goal.trajectory is trajectory:
                 motion.permit(authority, limit, self.scene)
-            self._told.notify_all()
+            self._authority_changed.notify_all()
 
     def wait_for_authority(self, goal_id: str, scene: SceneRevision | None) -> bool:
         """Wait until a servo has checked this goal in this scene, at most as long as a servo may be silent; returns
         whether one has.
         """
-        with self._told:
-            return self._told.wait_for(
+        with self._authority_changed:
+            return self._authority_changed.wait_for(
                 lambda: self._guard.checked(goal_id, scene, self._clock.now), self._guard.timeout
             )
 

@@ -134,10 +134,10 @@ def start(service: Service) -> Iterator[None]:
             plans = Plans(robot.hash, lambda: bus.read(keys.plans, timeout=PLANNER_PATIENCE))
             present = PresentScene(machine, lambda: bus.read(keys.scene_revision, timeout=PLANNER_PATIENCE))
             ghost = Ghost(bus, keys, robot)
-            told = bus.publisher(keys.strategy), bus.publisher(keys.speed)
+            settings = bus.publisher(keys.strategy), bus.publisher(keys.speed)
             admission = Admission(machine, reporter, robot.descriptor.execution.joint_state_timeout)
             streams = Streams(robot, machine, reporter, admission)
-            executor = Executor(robot, machine, reporter, admission, plans, present, strategies, *told, kept_speed)
+            executor = Executor(robot, machine, reporter, admission, plans, present, strategies, *settings, kept_speed)
             _export(service.metrics, machine, loop)
             with (
                 loop,

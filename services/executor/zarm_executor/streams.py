@@ -105,10 +105,10 @@ class Streams:
     def _drop(self, chunk: StreamChunk, why: str) -> None:
         if not self._known.get(chunk.goal_id, False):
             log.warning("dropped a chunk goal_id=%s sequence=%d reason=%s", chunk.goal_id, chunk.sequence, why)
-        self._know(chunk.goal_id, told=True)
+        self._know(chunk.goal_id, logged=True)
 
-    def _know(self, goal_id: str, *, told: bool = False) -> None:
-        """Remember a stream, and whether the log already says (`told`) that a chunk of it was dropped."""
-        self._known[goal_id] = told
+    def _know(self, goal_id: str, *, logged: bool = False) -> None:
+        """Remember a stream, and whether the log already says (`logged`) that a chunk of it was dropped."""
+        self._known[goal_id] = logged
         if len(self._known) > REMEMBERED:
             self._known.popitem(last=False)

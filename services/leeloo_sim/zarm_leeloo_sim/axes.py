@@ -29,10 +29,10 @@ class Axes:
         return cls(names, HUMBLE_ORDER if len(names) == len(HUMBLE_ORDER) else tuple(range(len(names))))
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def reported_joints(self) -> tuple[str, ...]:
         """The names in the order in which they are reported."""
         return tuple(self.names[index] for index in self.order)
 
-    def as_told(self, values: npt.NDArray[np.float64]) -> tuple[float, ...]:
-        """Values (J,), given by index, in the order of `told`."""
+    def as_reported(self, values: npt.NDArray[np.float64]) -> tuple[float, ...]:
+        """Values (J,), given by index, in the order of `reported_joints`."""
         return tuple(values[list(self.order)].tolist())

@@ -52,13 +52,13 @@ class BusSide:
     def tell_joints(self, position: Array, velocity: Array) -> None:
         """Publish the joint positions (J,) rad and velocities (J,) rad/s."""
         axes, stamp = self._axes, time.time()
-        self._expiry.told(stamp, time.monotonic())
+        self._expiry.report(stamp, time.monotonic())
         self._joints.put(
             JointState(
                 stamp=stamp,
-                joint_names=axes.told,
-                position=axes.as_told(position),
-                velocity=axes.as_told(velocity),
+                joint_names=axes.reported_joints,
+                position=axes.as_reported(position),
+                velocity=axes.as_reported(velocity),
             )
         )
 

@@ -68,7 +68,7 @@ class LeelooDriver:
         self._random = random.Random(1)  # noqa: S311  which commands get lost is no secret
         self._waiting: deque[tuple[float, Command]] = deque()
         self._sequence = 0
-        self._fraction_told = 1.0
+        self._fraction_reported = 1.0
         self._lock = threading.Lock()
 
     def play(self, command: Command) -> None:
@@ -114,11 +114,11 @@ class LeelooDriver:
                 return
             self._tell_joints(self._player.position, self._player.velocity)
             progress = PlaybackProgress(self._sequence, self._player.played, self._player.total)
-            if self._sequence and progress.fraction != self._fraction_told and not self._fault.stall:
-                self._fraction_told = progress.fraction
+            if self._sequence and progress.fraction != self._fraction_reported and not self._fault.stall:
+                self._fraction_reported = progress.fraction
                 self._tell_progress(progress)
 
     def _take(self, command: Command) -> None:
         if lacking := self._player.play(command.position, command.velocity):
             log.warning("points that lack what is played repeat the one before points=%d", lacking)
-        self._sequence, self._fraction_told = command.sequence, 0.0
+        self._sequence, self._fraction_reported = command.sequence, 0.0

@@ -42,8 +42,8 @@ class RosSide:
         self._node, self._axes = node, axes
         self._command_topic = params.command_topic
         self._joints = node.create_publisher(JointState, params.joint_states_topic, JOINT_STATES)
-        told = params.state_topic
-        self._progress = None if told is None else node.create_publisher(Float32, told, DEPTH)
+        topic = params.state_topic
+        self._progress = None if topic is None else node.create_publisher(Float32, topic, DEPTH)
 
     def listen(self, play: Callable[[Command], None]) -> None:
         """From now on play arriving trajectories; numbered by arrival, as ROS does not number them."""
@@ -65,10 +65,10 @@ class RosSide:
         """Publish the joint positions (J,) rad and velocities (J,) rad/s; the effort is unknown."""
         axes = self._axes
         message = JointState(
-            name=axes.told,
-            position=axes.as_told(position),
-            velocity=axes.as_told(velocity),
-            effort=[float("nan")] * len(axes.told),
+            name=axes.reported_joints,
+            position=axes.as_reported(position),
+            velocity=axes.as_reported(velocity),
+            effort=[float("nan")] * len(axes.reported_joints),
         )
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._joints.publish(message)

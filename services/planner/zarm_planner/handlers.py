@@ -117,7 +117,7 @@ class Handlers:
         report("loading the scene")
         self._prepare(self._store.scene)
         try:
-            self._look()
+            self._planning_scene()
         except Unavailable as error:  # every plan will report this until the scene is edited
             log.error("scene cannot be used reason=%s", error)
 
@@ -146,7 +146,7 @@ class Handlers:
             given = request.self_margin
             self_margin = model.robot.descriptor.self_margin if given is None else given
             context = PlanningContext(
-                scene=self._look(request.margin, self_margin),
+                scene=self._planning_scene(request.margin, self_margin),
                 limits=limits,
                 deadline=deadline,
                 path_constraint=request.path_constraint,
@@ -207,7 +207,7 @@ class Handlers:
         poses = np.array([matrix(pose.position, pose.orientation) for pose in request.poses])
 
         def work(deadline: Deadline) -> IkSolutions:
-            scene = self._look()
+            scene = self._planning_scene()
             turns = whole_turns(near, model.continuous)
             found = batch_ik(
                 scene.model,
@@ -239,7 +239,7 @@ class Handlers:
             joints = [checked(model, q, f"joints.{i}") for i, q in enumerate(request.joints)]
 
         def work(deadline: Deadline) -> CheckResults:
-            scene, results = self._look(), []
+            scene, results = self._planning_scene(), []
             for q in joints:
                 deadline.check()
                 nearest = scene.exact.nearest(q, deadline.check)
@@ -263,7 +263,7 @@ class Handlers:
         """The cells of a grid that the scene's objects reach into. Raises InvalidRequest if there are too many."""
 
         def work(deadline: Deadline) -> Occupancy:
-            scene = self._look()
+            scene = self._planning_scene()
             cells = reached_cells(scene.world, request.resolution, deadline.check)
             return Occupancy.model_construct(  # its cells were just counted, and validation is slower
                 scene_revision=scene.revision,
@@ -325,7 +325,7 @@ class Handlers:
         with suppress(Unavailable):  # a mesh file is missing; every plan will report that
             self._edited = self._made_ready(scene, self.moved.objects_to_be(scene))
 
-    def _look(self, margin: float | None = None, self_margin: float = 0.0) -> PlanningScene:
+    def _planning_scene(self, margin: float | None = None, self_margin: float = 0.0) -> PlanningScene:
         """The present scene with a margin (m, by default that of the settings) and a self margin (m), prepared once per
         revision and poses of moving objects.
 

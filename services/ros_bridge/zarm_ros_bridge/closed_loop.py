@@ -106,20 +106,20 @@ class ClosedLoop:
         steps = self._steps()
         run.go_on()
         try:
-            with self._engine.client.track() as tracking, self._led(live, steps):
+            with self._engine.client.track() as tracking, self._target_published(live, steps):
                 run.becomes(tracking.goal_id)
-                began = told_at = time.monotonic()
-                told = ""
+                began = reported_at = time.monotonic()
+                reported = ""
                 while True:
                     if live.lead(tracking):
                         steps.approach.begin()
                     self._check(tracking)
                     now = time.monotonic()
-                    convergence = steps.approach.judge(live.told_of(tracking.state), now)
+                    convergence = steps.approach.judge(live.reported_session(tracking.state), now)
                     there = ends_on_target and convergence.on_target
                     state = "on_target" if convergence.on_target else "tracking"
-                    if there or state != told or now - told_at >= steps.feedback:
-                        told, told_at = state, now
+                    if there or state != reported or now - reported_at >= steps.feedback:
+                        reported, reported_at = state, now
                         tell(state, convergence, self._joint_command(tracking))
                     if there:
                         return f"Target reached: {_left(convergence)}"
@@ -132,7 +132,7 @@ class ClosedLoop:
             raise self._engine.terms.of_error(error) from error
 
     @contextmanager
-    def _led(self, live: LiveTarget, steps: _Steps) -> Iterator[None]:
+    def _target_published(self, live: LiveTarget, steps: _Steps) -> Iterator[None]:
         """A block in which `mpc_goal` moves this target."""
         with self._path.shown(live, steps.horizon, steps.step):
             self._live = live

@@ -18,7 +18,7 @@ from zarm_ros_bridge.ros import Ros
 DEPTH = 10
 PERIOD = 1.0
 """Interval (s) of the status while nothing changes, as for `diagnostic_updater`."""
-_LOOK = 0.1
+_POLL_PERIOD = 0.1
 """Interval (s) at which a running goal is checked, the same as that of the executor's reports."""
 
 
@@ -39,7 +39,7 @@ class Diagnostics:
 
     def __enter__(self) -> Self:
         self._thread.start()
-        self._engine.bus.watch(self._engine.keys.executor_state, self._hear)
+        self._engine.bus.watch(self._engine.keys.executor_state, self._on_state)
         return self
 
     def __exit__(
@@ -49,23 +49,23 @@ class Diagnostics:
         self._changed.set()
         self._thread.join()
 
-    def _hear(self, _key: str, state: ExecutorState) -> None:
+    def _on_state(self, _key: str, state: ExecutorState) -> None:
         self._state = state
         self._changed.set()
 
     def _run(self) -> None:
-        told, told_at = None, 0.0
+        reported, reported_at = None, 0.0
         executor = self._engine.keys.alive("executor", "*")
         while not self._ended:
             state = self._state
             if state is not None:
                 status, now = self._status(state), time.monotonic()
-                if status != told or (now - told_at >= PERIOD and self._engine.bus.alive(executor)):
-                    told, told_at = status, now
+                if status != reported or (now - reported_at >= PERIOD and self._engine.bus.alive(executor)):
+                    reported, reported_at = status, now
                     message = DiagnosticArray(status=[status])
                     message.header.stamp = ros_time(time.time())
                     self._publisher.publish(message)
-            self._changed.wait(_LOOK if state is not None and state.goal_id is not None else PERIOD)
+            self._changed.wait(_POLL_PERIOD if state is not None and state.goal_id is not None else PERIOD)
             self._changed.clear()
 
     def _status(self, state: ExecutorState) -> DiagnosticStatus:

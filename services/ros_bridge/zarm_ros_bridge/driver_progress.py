@@ -22,7 +22,7 @@ class ProgressReader:
     def __init__(self) -> None:
         self._sequence = 0
         self._points = 0
-        self._told = 0.0
+        self._reported = 0.0
         self._base = 0  # divisor of a driver that keeps counting; 0 if this one does not, or stood
         self._counts_on = False  # whether that is certain since it last stood
         self._before = 0.0  # points it had counted when the last command came
@@ -31,22 +31,24 @@ class ProgressReader:
         """The command `sequence` with this number of points goes to the driver; 0 points: a stop."""
         base = self._base or self._points
         end = (self._before if self._base else 0.0) + self._points  # its count when all is played
-        self._before = self._told * base
+        self._before = self._reported * base
         self._base = base if 0.5 < self._before < end - 0.5 else 0
         self._sequence, self._points = sequence, points
         if not self._base:
-            self._told, self._counts_on = 0.0, False
+            self._reported, self._counts_on = 0.0, False
 
-    def read(self, told: float) -> DriverProgress | None:
+    def read(self, reported: float) -> DriverProgress | None:
         """Progress of the driver in the last command; None if that was a stop, or nothing was sent."""
-        if self._base and (told <= self._told or abs(told * self._base - round(told * self._base)) > _WHOLE):
+        if self._base and (
+            reported <= self._reported or abs(reported * self._base - round(reported * self._base)) > _WHOLE
+        ):
             self._base, self._counts_on = 0, False  # it restarts the count
-        self._told = told
+        self._reported = reported
         if not self._points:
             return None
-        played = told * self._points
+        played = reported * self._points
         if self._base:
-            on = told * self._base - self._before
+            on = reported * self._base - self._before
             self._counts_on = self._counts_on or abs(played - round(played)) > _WHOLE or played > self._points
             played = on if self._counts_on else min(on, played)
         return DriverProgress(sequence=self._sequence, fraction=min(max(played / self._points, 0.0), 1.0))

@@ -45,7 +45,7 @@ class Drivers:
 
     def __init__(self, ros: Ros, engine: Engine, params: StrategyParams) -> None:
         keys = engine.keys
-        self._told = DriverJointStates(params.joint_states_order or engine.joints, engine.joints)
+        self._reports = DriverJointStates(params.joint_states_order or engine.joints, engine.joints)
         self._topic = params.joint_states_topic
         self._complaints: set[str] = set()
         self._progress = ProgressReader()
@@ -83,12 +83,12 @@ class Drivers:
     def _joint_states(self, message: bytes) -> float | None:
         """How long (s) the next ones may wait."""
         try:
-            state = self._told.read(message)
+            state = self._reports.read(message)
         except InvalidRequest as error:
             self._complain(f"{error.problem.field}: {error.problem.message}")
             return None
         now = time.monotonic()
-        self._expiry.told(state.stamp, now)
+        self._expiry.report(state.stamp, now)
         if self._standing.passes(state, now):
             self._states.put(state)
         return self._standing.pause

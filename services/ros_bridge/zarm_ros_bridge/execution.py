@@ -244,7 +244,7 @@ class _Feedback:
 
     def planning(self) -> None:
         """Report that the goal is being planned."""
-        self._tell("planning", 0.0, JointState())
+        self._report_progress("planning", 0.0, JointState())
 
     def show(self, state: GoalState) -> None:
         """Report a new or repeated state of the executor's goal."""
@@ -254,9 +254,9 @@ class _Feedback:
         self._shown, self._when = state, now
         joint_command = ros_positions(self._joints, state.joint_command)
         joint_command.header.stamp = ros_time(time.time())
-        self._tell(state.status, state.progress, joint_command)
+        self._report_progress(state.status, state.progress, joint_command)
 
-    def _tell(self, state: str, progress: float, joint_command: JointState) -> None:
+    def _report_progress(self, state: str, progress: float, joint_command: JointState) -> None:
         kind = self._generation.types["action/SendTrajectory"].Feedback
         self._handle.publish_feedback(self._generation.feedback(kind, state, progress, joint_command))
 

@@ -53,6 +53,6 @@ class LiveTarget:
             self._first = self._sent
         return moved
 
-    def told_of(self, state: ServoSession | None) -> ServoSession | None:
+    def reported_session(self, state: ServoSession | None) -> ServoSession | None:
         """The servo's report, if it is about this pose, or an earlier one of its stream."""
         return state if state is not None and state.sequence >= self._first else None

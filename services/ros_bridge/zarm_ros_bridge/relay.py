@@ -51,10 +51,10 @@ class Relay(Generic[M]):
 
     def _follow(self) -> None:
         with self._turn:
-            heard = any(publisher.get_subscription_count() for publisher in self._publishers) and not self._closed
-            if heard and self._end is None:
+            subscribed = any(publisher.get_subscription_count() for publisher in self._publishers) and not self._closed
+            if subscribed and self._end is None:
                 self._end = self._bus.listen(self._key, self._receive)
-            elif not heard and self._end is not None:
+            elif not subscribed and self._end is not None:
                 self._end()
                 self._end = None
 

@@ -43,7 +43,7 @@ SESSION_SECONDS = 1.0
 """A session ends after this long (s) without a command."""
 RELEASE_SECONDS = 0.5
 """After a session that someone else has ended, or that could not begin, commands must pause for this long (s)."""
-_TELL_SECONDS = 0.1
+_REPORT_PERIOD = 0.1
 _FORGOTTEN = 10.0
 _DRIFT = 1e-3  # two clocks drift by less than this (s per s)
 
@@ -64,17 +64,17 @@ class Punctuality:
 
     def __init__(self) -> None:
         self._least: float | None = None  # least delay (s) from stamp to arrival
-        self._heard = 0.0
+        self._received_at = 0.0
 
     def late(self, stamp: float, now: float) -> bool:
         """Whether a message came STALE s later than others; never for a stamp of 0, which means none."""
         if not stamp:
             return False
-        offset, passed = now - stamp, now - self._heard
+        offset, passed = now - stamp, now - self._received_at
         if self._least is None or passed > _FORGOTTEN:
             self._least = offset
         self._least = min(self._least + _DRIFT * passed, offset)
-        self._heard = now
+        self._received_at = now
         return offset - self._least > STALE
 
 
@@ -90,8 +90,8 @@ class ServoCommands:
         self._came = threading.Condition()
         self._newest: dict[str, _Command] = {}
         self._ended = False
-        self._told: tuple[int, str] | None = None
-        self._told_at = 0.0
+        self._reported: tuple[int, str] | None = None
+        self._reported_at = 0.0
         self._status = ros.node.create_publisher(Int8, "~/servo_status", 10)
         self._text = ros.node.create_publisher(String, "~/servo_status/text", 10)
         client = engine.client
@@ -102,8 +102,8 @@ class ServoCommands:
             ("pose_target_cmds", PoseStamped, target_of, client.track),
         ):
             self._opens[topic] = opens
-            hear = partial(self._hear, topic, read, Punctuality())
-            ros.listen(kind, ros.node.resolve_topic_name(f"~/{topic}"), hear, COMMANDS)
+            on_command = partial(self._on_command, topic, read, Punctuality())
+            ros.listen(kind, ros.node.resolve_topic_name(f"~/{topic}"), on_command, COMMANDS)
         self._thread = threading.Thread(target=self._run, name="servo commands")
 
     def __enter__(self) -> Self:
@@ -120,7 +120,7 @@ class ServoCommands:
 
     # -- in the thread that listens --
 
-    def _hear(self, topic: str, read: Callable[[Any, Any], Send], punctuality: Punctuality, message: Any) -> None:
+    def _on_command(self, topic: str, read: Callable[[Any, Any], Send], punctuality: Punctuality, message: Any) -> None:
         now, stamp = time.monotonic(), message.header.stamp
         if punctuality.late(stamp.sec + stamp.nanosec / NANOSECONDS, now):
             self._refuse(f"a message on {topic} came more than {STALE:g} s late; find out what delays it")
@@ -135,7 +135,7 @@ class ServoCommands:
             self._came.notify_all()
 
     def _refuse(self, text: str) -> None:
-        self._tell(INVALID, text)
+        self._report(INVALID, text)
         self._log.warning(text, throttle_duration_sec=5.0)
 
     # -- in its own thread --
@@ -151,7 +151,7 @@ class ServoCommands:
                 self._refuse(f"{text}; then pause the commands for {RELEASE_SECONDS:g} s")
                 self._wait_for_release()
             else:
-                self._tell(NO_WARNING, "no commands")
+                self._report(NO_WARNING, "no commands")
 
     def _follow(self, session: Tracking | Jogging, command: _Command) -> None:
         """Pass on the commands of one topic until they pause and others come, or none have come for SESSION_SECONDS.
@@ -168,7 +168,7 @@ class ServoCommands:
             self._tell_of(session.state)
             if now - last > SESSION_SECONDS or (now - last > STALE and self._others(topic)):
                 return
-            newest = self._next(topic, _TELL_SECONDS)
+            newest = self._next(topic, _REPORT_PERIOD)
         if not self._ended:
             raise Cancelled("another client has ended the session of the servo; see who leads the robot")
 
@@ -195,16 +195,16 @@ class ServoCommands:
 
     def _tell_of(self, state: ServoSession | None) -> None:
         if state is not None and state.refused is not None:
-            self._tell(INVALID, state.refused.message)
+            self._report(INVALID, state.refused.message)
         elif state is not None:
-            self._tell(STATUS[state.limiting], limited(state))
+            self._report(STATUS[state.limiting], limited(state))
 
-    def _tell(self, code: int, text: str) -> None:
+    def _report(self, code: int, text: str) -> None:
         """Publish each change, and ten times a second while there are commands."""
         now = time.monotonic()
-        if (code, text) == self._told and now - self._told_at < _TELL_SECONDS:
+        if (code, text) == self._reported and now - self._reported_at < _REPORT_PERIOD:
             return
-        self._told, self._told_at = (code, text), now
+        self._reported, self._reported_at = (code, text), now
         self._status.publish(Int8(data=code))
         self._text.publish(String(data=text))
 

@@ -53,8 +53,8 @@ class Terms:
     def of(self, text: str) -> str:
         """The text with each key replaced by its name on ROS, if it has one."""
         text = _SILENT.sub(self._silent, text)
-        for said, told in _FIELDS.items():
-            text = text.replace(said, told)
+        for said, reported in _FIELDS.items():
+            text = text.replace(said, reported)
         return self._words.sub(lambda found: self._names[found[0]], text)
 
     def of_error(self, error: ZarmError) -> ZarmError:

@@ -43,7 +43,7 @@ class Topics:
         self._log = node.get_logger()
         params = engine.robot.descriptor.strategy_params
         own = node.resolve_topic_name("joint_states")
-        told = params is not None and node.resolve_topic_name(params.joint_states_topic) == own
+        reported = params is not None and node.resolve_topic_name(params.joint_states_topic) == own
         self._trajectory = node.create_publisher(JointTrajectory, "trajectory", DEPTH)
         self._obstacles = [node.create_publisher(MarkerArray, topic, LATCHED) for topic in obstacles]
         self._spheres = node.create_publisher(MarkerArray, "~/collision_spheres", LATCHED)
@@ -57,7 +57,7 @@ class Topics:
         bus.watch(keys.scene, self._scene)
         # Plans are rare, and one published before its bus subscriber is known would not be sent again.
         bus.listen(keys.plans, self._plan)
-        robot = {"emulator/joint_states": lambda: self._emulated} | ({} if told else {own: lambda: True})
+        robot = {"emulator/joint_states": lambda: self._emulated} | ({} if reported else {own: lambda: True})
         self._relays = [
             Relay(node, bus, key, JointState, RosJointState, ros_joint_state, topics)
             for key, topics in (

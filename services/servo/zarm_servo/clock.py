@@ -46,10 +46,10 @@ class StreamClock:
         """Take a state of the stream from the executor."""
         with self._lock:
             self._advance(now)
-            told, behind = goal.progress * goal.duration, self._scale * self._delay
+            reported, behind = goal.progress * goal.duration, self._scale * self._delay
             self._rate = self._scale if goal.status == "running" and goal.hold is None else 0.0
-            least = told + self._rate * _AGE + (behind if told > 0.0 else 0.0)
-            time = min(max(self._time, least), told + behind + _OLDEST)
+            least = reported + self._rate * _AGE + (behind if reported > 0.0 else 0.0)
+            time = min(max(self._time, least), reported + behind + _OLDEST)
             self._time = time - _NEARER * (time - least)
 
     def _advance(self, now: float) -> None:

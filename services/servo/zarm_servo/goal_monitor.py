@@ -27,7 +27,7 @@ _AHEAD = 0.05
 
 @dataclass(frozen=True)
 class FollowedGoal:
-    """The trajectory of a goal, first known at `since` (s, monotonic). At `told` (s, monotonic) the executor commanded
+    """The trajectory of a goal, first known at `since` (s, monotonic). At `reported` (s, monotonic) the executor commanded
     the path time `commanded` (s).
     """
 
@@ -35,7 +35,7 @@ class FollowedGoal:
     trajectory: TimedTrajectory
     since: float
     commanded: float
-    told: float
+    reported: float
 
 
 class GoalMonitor:
@@ -48,7 +48,7 @@ class GoalMonitor:
         self._ended: deque[str] = deque(maxlen=32)
         self._running: str | None = None
 
-    def hear_trajectory(self, message: GoalTrajectory, now: float) -> None:
+    def on_trajectory(self, message: GoalTrajectory, now: float) -> None:
         """A goal begins, or its trajectory changes."""
         try:
             trajectory = TimedTrajectory.of(message.trajectory, self._joints).begun_at(message.start)
@@ -62,9 +62,9 @@ class GoalMonitor:
             if before is not None and before.message.goal_id == message.goal_id:
                 self._followed = replace(before, message=message, trajectory=trajectory)
             else:
-                self._followed = FollowedGoal(message, trajectory, since=now, commanded=message.start, told=now)
+                self._followed = FollowedGoal(message, trajectory, since=now, commanded=message.start, reported=now)
 
-    def hear_goal(self, goal: GoalState, now: float) -> bool:
+    def on_goal(self, goal: GoalState, now: float) -> bool:
         """Take a goal's progress or result; returns whether the followed goal has ended."""
         with self._lock:
             if goal.done:
@@ -72,10 +72,12 @@ class GoalMonitor:
             followed = self._followed
             if followed is None or followed.message.goal_id != goal.goal_id:
                 return False
-            self._followed = None if goal.done else replace(followed, commanded=goal.progress * goal.duration, told=now)
+            self._followed = (
+                None if goal.done else replace(followed, commanded=goal.progress * goal.duration, reported=now)
+            )
             return goal.done
 
-    def hear_state(self, state: ExecutorState) -> None:
+    def on_state(self, state: ExecutorState) -> None:
         """Note which goal runs."""
         self._running = state.goal_id
 
@@ -96,7 +98,7 @@ class GoalMonitor:
         """The path time (s) that the robot has reached, or slightly less."""
         trajectory, measured = followed.trajectory, self._measured.get(max_age=_BEHIND)
         first = max(followed.commanded - _BEHIND, float(trajectory.time[0]))
-        last = min(followed.commanded + now - followed.told + _AHEAD, trajectory.duration)
+        last = min(followed.commanded + now - followed.reported + _AHEAD, trajectory.duration)
         if measured is None or set(measured.joint_names) != set(self._joints):
             return first
         order = [measured.joint_names.index(name) for name in self._joints]

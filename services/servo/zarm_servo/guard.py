@@ -74,7 +74,7 @@ class Guard:
         self._sequence = 0
         self._planner_gone = False
         self._state: ServoState | None = None
-        self._told: tuple[Authority, float] | None = None
+        self._reported: tuple[Authority, float] | None = None
         self._done: tuple[FollowedGoal, SceneSnapshot, frozenset[str]] | None = None
         self._stopping: tuple[TimedTrajectory, StoppingTime] | None = None
         self._validity: PathValidity | ZarmError = PathValidity()
@@ -102,27 +102,27 @@ class Guard:
         """Run the next check at once."""
         self._news.set()
 
-    def hear_trajectory(self, _key: str, message: GoalTrajectory) -> None:
+    def on_trajectory(self, _key: str, message: GoalTrajectory) -> None:
         """A goal begins, or its trajectory changes."""
         session = self.session
         if session is not None and message.goal_id == session.goal_id:
-            session.hear_trajectory(message)
+            session.on_trajectory(message)
             if message.number == 1:
                 self.wake()
             return
-        self._goals.hear_trajectory(message, time.monotonic())
+        self._goals.on_trajectory(message, time.monotonic())
         self.wake()
 
-    def hear_goal(self, _key: str, goal: GoalState) -> None:
+    def on_goal(self, _key: str, goal: GoalState) -> None:
         """Take a goal's progress or result."""
-        if self._goals.hear_goal(goal, time.monotonic()):
+        if self._goals.on_goal(goal, time.monotonic()):
             self.wake()
 
-    def hear_state(self, _key: str, state: ExecutorState) -> None:
+    def on_state(self, _key: str, state: ExecutorState) -> None:
         """Note which goal runs."""
-        self._goals.hear_state(state)
+        self._goals.on_state(state)
 
-    def hear_planner(self, *, gone: bool) -> None:
+    def on_planner(self, *, gone: bool) -> None:
         """Note whether the planner is gone."""
         self._planner_gone = gone
 
@@ -131,7 +131,7 @@ class Guard:
     def _run(self) -> None:
         while not self._closing:
             try:
-                self._look()
+                self._check()
             except Exception:  # if the guard ended, every goal would silently be unguarded
                 log.exception("the guard failed; it goes on")
             if self._goals.newest is not None and self.moving:
@@ -141,7 +141,7 @@ class Guard:
                 self._news.wait(PERIOD)
             self._news.clear()
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         scene = self.monitor.snapshot(time.monotonic())
         followed = self._goals.current(time.monotonic())
         validity: PathValidity | ZarmError = PathValidity()
@@ -164,7 +164,7 @@ class Guard:
                 self.replanner.see(followed.message, followed.trajectory, found.until)
             else:
                 self.replanner.forget()
-        self._tell(goal_id, session, scene, found, problem)
+        self._report(goal_id, session, scene, found, problem)
 
     def _authorize(self, goal_id: str | None, number: int, revision: SceneRevision | None, found: PathValidity) -> None:
         """Publish how far the goal may go, unless the same was just published."""
@@ -178,12 +178,12 @@ class Guard:
             obstruction=found.obstruction,
         )
         now = time.monotonic()
-        if self._told is not None:
-            before, told = self._told
-            if now - told < PERIOD / 2 and before == authority.model_copy(update={"sequence": before.sequence}):
+        if self._reported is not None:
+            before, reported = self._reported
+            if now - reported < PERIOD / 2 and before == authority.model_copy(update={"sequence": before.sequence}):
                 return
         self._sequence += 1
-        self._told = authority, now
+        self._reported = authority, now
         self._authorities.put(authority)
 
     def _validity_of(
@@ -230,7 +230,7 @@ class Guard:
         self._took = took
         self._metrics.time("zarm_check_seconds", "How long checks of goals took.", took)
 
-    def _tell(
+    def _report(
         self,
         goal_id: str | None,
         session: Session | None,

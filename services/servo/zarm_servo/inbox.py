@@ -91,8 +91,12 @@ class Inbox:
             )
         target = self._read(message)
         passed = None if before is None or self._least is None else message.stamp - before.stamp
-        told = message.target
-        if isinstance(target, PoseTarget) and isinstance(told, m.PoseTarget) and told.linear is told.angular is None:
+        reported = message.target
+        if (
+            isinstance(target, PoseTarget)
+            and isinstance(reported, m.PoseTarget)
+            and reported.linear is reported.angular is None
+        ):
             target = _moving(self._target, target, passed)
         self._message, self._target, self._least = message, target, least
         self._arrived, self._under_way = now, under_way
@@ -126,16 +130,16 @@ class Inbox:
                     field=f"target.{field}",
                 )
         match message.target:
-            case m.PoseTarget() as told:
+            case m.PoseTarget() as reported:
                 still = (0.0, 0.0, 0.0)
-                velocity = np.array((*(told.linear or still), *(told.angular or still)))
-                return PoseTarget(matrix(told.position, told.orientation), velocity)
-            case m.TwistTarget() as told:
-                return TwistTarget(np.array((*told.linear, *told.angular)), told.frame)
-            case m.JointSpeedTarget() as told:
-                return JointSpeedTarget(self._of_joints(told.velocity, "target.velocity"))
-            case m.JointTarget() as told:
-                return JointTarget(self._of_joints(told.position, "target.position"))
+                velocity = np.array((*(reported.linear or still), *(reported.angular or still)))
+                return PoseTarget(matrix(reported.position, reported.orientation), velocity)
+            case m.TwistTarget() as reported:
+                return TwistTarget(np.array((*reported.linear, *reported.angular)), reported.frame)
+            case m.JointSpeedTarget() as reported:
+                return JointSpeedTarget(self._of_joints(reported.velocity, "target.velocity"))
+            case m.JointTarget() as reported:
+                return JointTarget(self._of_joints(reported.position, "target.position"))
 
     def _of_joints(self, values: tuple[float, ...], field: str) -> Array:
         if len(values) != self._joints:

@@ -28,7 +28,7 @@ _MOVED = 0.01
 """rad, of the joint that moves most."""
 _RATE_OVER = 1.0
 """Window (s) over which the rate of approach to a target is measured."""
-_CRAWLS = 3.0
+_SLOWDOWN = 3.0
 """A robot also counts as stuck if it needs longer than this (s) at that rate to reach a static target, as near a
 singularity.
 """
@@ -92,7 +92,7 @@ class LocalGoal:
         self._compare(wanted, revision)
         self._take()
         plan = self._plan
-        if plan is not None and _led(plan, wanted):
+        if plan is not None and _leads_to(plan, wanted):
             plan = self._plan = None
         if self._must_ask(wanted, position, revision):
             distance = self._errors(wanted, position)[0]
@@ -146,13 +146,13 @@ class LocalGoal:
         plan = self._plan
         if plan is not None and (revision != self._revision or _apart(wanted, plan.target, _SAME)):
             return True
-        if plan is None and self._crawls(wanted, position):
+        if plan is None and self._too_slow(wanted, position):
             return True
         if (self._steps - self._anchored) * PERIOD < _STUCK or (plan is not None and plan.left < _MOVED):
             return False
         return bool(np.any(np.greater(self._errors(wanted, position), _REACHED)))
 
-    def _crawls(self, wanted: PoseTarget | JointTarget, position: Array) -> bool:
+    def _too_slow(self, wanted: PoseTarget | JointTarget, position: Array) -> bool:
         """Whether a static target is too long away at the present rate of approach; reported once per `_RATE_OVER`."""
         since, before, left_before = self._before
         if (self._steps - since) * PERIOD < _RATE_OVER:
@@ -161,7 +161,7 @@ class LocalGoal:
         left = errors[0] + _PER_RAD * errors[1] + errors[2]
         rests = before is not None and not _apart(wanted, before, _SAME)
         self._before = self._steps, wanted, left if rests else np.inf
-        late = left_before < np.inf and left > _CRAWLS * (left_before - left) / _RATE_OVER
+        late = left_before < np.inf and left > _SLOWDOWN * (left_before - left) / _RATE_OVER
         return rests and late and bool(np.any(np.greater(errors, _REACHED)))
 
     def _errors(self, wanted: PoseTarget | JointTarget, position: Array) -> tuple[float, float, float]:
@@ -184,7 +184,7 @@ class LocalGoal:
             self._asked = None
 
 
-def _led(plan: GlobalPlan, wanted: PoseTarget | JointTarget) -> bool:
+def _leads_to(plan: GlobalPlan, wanted: PoseTarget | JointTarget) -> bool:
     """Whether a plan has served its purpose: it leads elsewhere, or the target can be followed directly from here."""
     if _apart(wanted, plan.target, _FAR):
         return True

@@ -100,9 +100,9 @@ class MovingObjects:
 
     def hear(self, key: str, payload: bytes) -> None:
         """Take a message on the key of an object's pose."""
-        self.tell(key.split("/")[-2], payload, time.monotonic(), time.time())
+        self.update_object(key.split("/")[-2], payload, time.monotonic(), time.time())
 
-    def tell(self, name: str, payload: bytes, now: float, wall: float) -> None:
+    def update_object(self, name: str, payload: bytes, now: float, wall: float) -> None:
         """Take a pose of the object `name`, unless it is refused, at `now` (s, monotonic) or `wall` (s, Unix time)."""
         try:
             self._take(name, decode(ObjectPose, payload), now, wall)

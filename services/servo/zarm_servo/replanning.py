@@ -115,12 +115,12 @@ class Replanner:
 
     # -- what is heard, from any thread --
 
-    def hear_state(self, _key: str, state: ExecutorState) -> None:
+    def on_state(self, _key: str, state: ExecutorState) -> None:
         """Take the robot's share of the planned speed, and how far (s) the command is ahead of the reported progress."""
         self._speed_scale, params = state.speed_scale, self._strategy_params
         self._ahead = 0.0 if params is None or state.strategy == "emulator" else params.delay + params.point_dt
 
-    def hear_goal(self, _key: str, goal: GoalState) -> None:
+    def on_goal(self, _key: str, goal: GoalState) -> None:
         """Take a goal's progress."""
         self._goal = None if goal.done else (goal, time.monotonic())
 
@@ -143,10 +143,10 @@ class Replanner:
         while not self._closing:
             self._news.wait()
             self._news.clear()
-            blocked, heard = self._blocked, self._goal
-            if blocked is None or heard is None or heard[0].goal_id != blocked.message.goal_id:
+            blocked, latest = self._blocked, self._goal
+            if blocked is None or latest is None or latest[0].goal_id != blocked.message.goal_id:
                 continue
-            goal = heard[0]
+            goal = latest[0]
             if goal.status != "running" or blocked.message is self._replaced:
                 continue
             try:
@@ -262,11 +262,11 @@ class Replanner:
 
     def _commanded(self, now: float) -> float:
         """The path time (s) commanded at `now`, or slightly more. Raises Unavailable if the goal has ended."""
-        heard = self._goal
-        if heard is None:
+        latest = self._goal
+        if latest is None:
             raise Unavailable("the goal has ended")
-        goal, told = heard
-        return goal.progress * goal.duration + (now - told) * self._speed_scale
+        goal, reported = latest
+        return goal.progress * goal.duration + (now - reported) * self._speed_scale
 
     def _used(self, trajectory: TimedTrajectory) -> tuple[float, float]:
         """The shares of the velocity and acceleration limits allowed for the trajectory that replaces this one."""

@@ -52,7 +52,7 @@ class SceneMonitor:
         with self._lock:
             return None if revision is None else self._past.get(revision)
 
-    def hear_object(self, item: SceneObject, now: float) -> None:
+    def on_object(self, item: SceneObject, now: float) -> None:
         """An object was added or moved; its scene follows."""
         with self._lock:
             before = self._latest
@@ -62,7 +62,7 @@ class SceneMonitor:
             self._early_until = now + EARLY
         self._changed()
 
-    def hear_scene(self, _key: str, scene: Scene) -> None:
+    def on_scene(self, _key: str, scene: Scene) -> None:
         """Take the whole scene, published after every edit."""
         with self._lock:
             before = self._scene

@@ -87,17 +87,17 @@ def start(service: Service) -> Iterator[None]:
 
         def receive(key: str, payload: bytes) -> None:
             try:
-                guard.monitor.hear_object(_OBJECT.validate_json(payload[: Message.max_bytes]), time.monotonic())
+                guard.monitor.on_object(_OBJECT.validate_json(payload[: Message.max_bytes]), time.monotonic())
             except ValidationError as error:
                 log.warning("dropped a message key=%s reason=%s", key, error.errors()[0]["msg"])
 
-        bus.watch(keys.scene, guard.monitor.hear_scene)
+        bus.watch(keys.scene, guard.monitor.on_scene)
         bus.listen(keys.scene_object("*"), receive)
-        for hear_state in (guard.hear_state, sessions.hear_state, replanner.hear_state):
-            bus.watch(keys.executor_state, hear_state)
-        for hear_goal in (guard.hear_goal, sessions.hear_goal, replanner.hear_goal):
-            bus.watch(keys.goal("*"), hear_goal)
-        bus.watch(keys.goal_trajectory, guard.hear_trajectory)
+        for on_state in (guard.on_state, sessions.on_state, replanner.on_state):
+            bus.watch(keys.executor_state, on_state)
+        for on_goal in (guard.on_goal, sessions.on_goal, replanner.on_goal):
+            bus.watch(keys.goal("*"), on_goal)
+        bus.watch(keys.goal_trajectory, guard.on_trajectory)
         ended = threading.Event()
 
         def look_for_planner() -> None:
@@ -105,7 +105,7 @@ def start(service: Service) -> Iterator[None]:
             while not ended.wait(PLANNER_PERIOD):
                 alive = bus.alive(keys.alive("planner", "*"), timeout=PLANNER_PERIOD)
                 missed = 0 if alive else missed + 1
-                guard.hear_planner(gone=missed >= MISSED)
+                guard.on_planner(gone=missed >= MISSED)
 
         looking = threading.Thread(target=look_for_planner, name="planner", daemon=True)
         looking.start()
@@ -115,7 +115,7 @@ def start(service: Service) -> Iterator[None]:
             bus.serve(keys.servo_start, sessions.start)
             bus.serve(keys.servo_end, sessions.end)
             bus.listen(keys.object_pose("*"), guard.moving.hear)
-            command_bus.listen(keys.servo_target, sessions.hear_target)
+            command_bus.listen(keys.servo_target, sessions.on_target)
             service.ready()
             try:
                 yield

@@ -55,37 +55,37 @@ there.
 """
 DEADLINE = 0.3
 """The executor brakes if no chunk has come for this long (s)."""
-_ASTRAY = 1e-4
+_PATH_TOLERANCE = 1e-4
 """If the executor's trajectory differs by more than this (rad) from the steps, a chunk came too late and it is
 blending.
 """
-_ON_ITS_WAY = 0.1
+_CHUNK_TIMEOUT = 0.1
 """After this time (s) the executor has taken every chunk, or dropped it."""
-_REMEMBERED = 50
+_CHUNKS_KEPT = 50
 """Number of chunks remembered."""
-_REPEATED = 0.08
+_LONGEST_CHUNK_PERIOD = 0.08
 """Longest time (s) between two chunks, however slowly the robot moves."""
-_CATCHING_UP = PERIOD / 2
+_CATCH_UP_PERIOD = PERIOD / 2
 """Time (s) from one cycle to the next while steps are missing, at the start or after a late cycle."""
-_LATE = 0.002
+_LATE_CYCLE = 0.002
 """A cycle that begins later than this (s) counts as late."""
-_SOFT = 0.02
+_ACCELERATION_TIME = 0.02
 """Time (s) that an acceleration takes to reach its limit: keeps the overshoot of a chunk's quintics between samples
 small.
 """
-_SHARE = 0.98
+_ACCELERATION_SHARE = 0.98
 """Share of the acceleration limit that is used, for the same reason."""
-_STARTS = 3.0
+_START_TIMEOUT = 3.0
 """The executor accepts or refuses a stream within this time (s)."""
-_RESTS = 5.0
+_REST_TIMEOUT = 5.0
 """Longest time (s) that a robot takes to come to rest."""
-_UNUSED = 10.0
+_IDLE_TIMEOUT = 10.0
 """A session without a fresh target for this long (s) is ended."""
-_SILENT = 2.0
+_EXECUTOR_TIMEOUT = 2.0
 """An executor that has not reported on the stream for this long (s) is gone."""
-_TELLS = 0.05
+_REPORT_PERIOD = 0.05
 """Least time (s) between two reports of what limits a session."""
-_MOVES = 1e-3
+_MOVING_SPEED = 1e-3
 """Joint speed (rad/s) above which a robot counts as moving."""
 _SEARCHES = 2
 """Most global plans searched for at a time: one for the target, and one for a target that has jumped since."""
@@ -147,14 +147,14 @@ class Session:
         self._streamed = StreamedTrajectory(0.0, self._controller.state, self._controller.braking)
         self._ends: OrderedDict[int, tuple[float, Array]] = OrderedDict()
         self._followed: tuple[int, TimedTrajectory] | None = None
-        self._astray = False
+        self._off_path = False
         self._clock = StreamClock(delay)
         self._sequence, self._sent_at = 0, 0.0
         self._used = time.monotonic()
         self._snapshot = Snapshot()
         self._goal: GoalState | None = None
-        self._heard_at = self._told_at = self._used
-        self._told = threading.Event()
+        self._heard_at = self._reported_at = self._used
+        self._reported = threading.Event()
         self._done = threading.Event()
         self._closing = self._held = False
         self._cycles = self._late = 0
@@ -178,9 +178,9 @@ class Session:
         try:
             standing = TimedTrajectory.standing(self._controller.state[0], 1.0)
             self._put(0.0, standing, deadline=1.0)
-            if not self._told.wait(_STARTS):
+            if not self._reported.wait(_START_TIMEOUT):
                 raise Unavailable(
-                    f"the executor did not take the stream within {_STARTS:g} s; `zarm status` shows whether it runs"
+                    f"the executor did not take the stream within {_START_TIMEOUT:g} s; `zarm status` shows whether it runs"
                 )
             if self._goal is not None and self._goal.problem is not None:
                 raise from_problem(self._goal.problem)
@@ -194,30 +194,30 @@ class Session:
     def close(self) -> None:
         """Bring the robot to rest and end; returns when done. Raises Busy if it takes too long."""
         self._give_up()
-        if not self._done.wait(_RESTS):
+        if not self._done.wait(_REST_TIMEOUT):
             raise Busy(f"the session {self.goal_id} has not ended yet; see where the robot is, then try again")
 
     def _give_up(self) -> None:
         self._closing = True
 
-    def hear_goal(self, goal: GoalState) -> None:
+    def on_goal(self, goal: GoalState) -> None:
         """Take a state of the stream from the executor."""
         self._heard_at = time.monotonic()
         self._clock.hear(goal, self._heard_at)
         self._goal = goal
         self._held = goal.status == "paused"
         if goal.status != "accepted":
-            self._told.set()
+            self._reported.set()
 
-    def hear_trajectory(self, message: GoalTrajectory) -> None:
+    def on_trajectory(self, message: GoalTrajectory) -> None:
         """Take the trajectory that the executor follows after each chunk, and compare it with what was checked."""
         trajectory = TimedTrajectory.of(message.trajectory, self._joints).begun_at(message.start)
         time_there, state = self._ends.get(message.number, (-1.0, np.empty(0)))
         if time_there >= trajectory.time[0]:
-            self._astray = float(np.abs(trajectory.at(time_there) - state)[0].max()) > _ASTRAY
+            self._off_path = float(np.abs(trajectory.at(time_there) - state)[0].max()) > _PATH_TOLERANCE
         self._followed = message.number, trajectory
 
-    def hear_speed(self, state: ExecutorState) -> None:
+    def on_speed(self, state: ExecutorState) -> None:
         """Take the robot's share of the planned speed."""
         self._clock.set_speed(state.speed_scale, time.monotonic())
 
@@ -276,14 +276,14 @@ class Session:
                 time.sleep(max(0.0, due - time.monotonic()))
                 now = time.monotonic()
                 self._cycles += 1
-                if now - due > _LATE:
+                if now - due > _LATE_CYCLE:
                     self._late += 1
                     self._metrics.count("zarm_servo_late_cycles", "Cycles of sessions that began more than 2 ms late.")
                 self._cycle(now)
                 took = time.monotonic() - now
                 self._took.append(took)
                 self._metrics.time("zarm_servo_cycle_seconds", "How long cycles of sessions took.", took)
-                due = max(due + (_CATCHING_UP if self._behind(now) else PERIOD), now)
+                due = max(due + (_CATCH_UP_PERIOD if self._behind(now) else PERIOD), now)
         except Exception:
             log.exception("the session failed; the robot is brought to rest goal_id=%s", self.goal_id)
         finally:
@@ -293,7 +293,7 @@ class Session:
         goal = self._goal
         if self._held or (goal is not None and goal.done):
             return False
-        if time.monotonic() - self._heard_at > _SILENT:
+        if time.monotonic() - self._heard_at > _EXECUTOR_TIMEOUT:
             log.warning("the executor reports nothing about the session goal_id=%s", self.goal_id)
             return False
         return not self._closing or self._snapshot.moving
@@ -303,14 +303,14 @@ class Session:
         target, age = self.inbox.newest(now)
         if target is not None and age is not None and age <= STALE:
             self._used = now
-        elif now - self._used > _UNUSED:
-            log.info("the session ends, no targets arrive seconds=%g goal_id=%s", _UNUSED, self.goal_id)
+        elif now - self._used > _IDLE_TIMEOUT:
+            log.info("the session ends, no targets arrive seconds=%g goal_id=%s", _IDLE_TIMEOUT, self.goal_id)
             self._closing = True
-        if self._astray and not self._found(self._clock.time(now), now):
+        if self._off_path and not self._rejoin_path(self._clock.time(now), now):
             return
         if self._behind(now):
             self._step(None if self._closing else target, age, max(self._coming(now), 0.0))
-        if self._streamed.pending >= CHUNK or now - self._sent_at > _REPEATED:
+        if self._streamed.pending >= CHUNK or now - self._sent_at > _LONGEST_CHUNK_PERIOD:
             self._put(*self._streamed.chunk())
 
     def _coming(self, now: float) -> float:
@@ -320,12 +320,12 @@ class Session:
     def _behind(self, now: float) -> bool:
         return self._coming(now) <= LEAD
 
-    def _found(self, commanded: float, now: float) -> bool:
+    def _rejoin_path(self, commanded: float, now: float) -> bool:
         """Continue from the trajectory that the executor follows, once it has taken all chunks; returns whether this
         was possible.
         """
         followed = self._followed
-        if followed is None or (followed[0] < self._sequence and now - self._sent_at < _ON_ITS_WAY):
+        if followed is None or (followed[0] < self._sequence and now - self._sent_at < _CHUNK_TIMEOUT):
             return False
         time_there = commanded + LEAD
         state = followed[1].at(time_there)
@@ -333,7 +333,7 @@ class Session:
             state[1:] = 0.0
         self._controller.restart(state)
         self._streamed = StreamedTrajectory(time_there, self._controller.state, self._controller.braking)
-        self._astray = False
+        self._off_path = False
         return True
 
     def _step(self, target: Target | None, age: float | None, coming: float) -> None:
@@ -344,11 +344,14 @@ class Session:
         step = self._controller.step(wanted, age or 0.0, around)
         self._streamed.add(step)
         before = self._snapshot.limitation
-        moving = bool(np.abs(step.state[1]).max() > _MOVES)
+        moving = bool(np.abs(step.state[1]).max() > _MOVING_SPEED)
         self._snapshot = Snapshot(step.limitation, target, age, moving)
         now = time.monotonic()
-        if (before.kind, before.pair) != (step.limitation.kind, step.limitation.pair) and now - self._told_at > _TELLS:
-            self._told_at = now
+        if (before.kind, before.pair) != (
+            step.limitation.kind,
+            step.limitation.pair,
+        ) and now - self._reported_at > _REPORT_PERIOD:
+            self._reported_at = now
             self._changed()
 
     def _put(
@@ -357,7 +360,7 @@ class Session:
         self._sequence += 1
         self._sent_at = time.monotonic()
         self._ends[self._sequence] = self._streamed.time, self._controller.state
-        if len(self._ends) > _REMEMBERED:
+        if len(self._ends) > _CHUNKS_KEPT:
             self._ends.popitem(last=False)
         self._chunks.put(
             StreamChunk(
@@ -376,10 +379,10 @@ class Session:
         goal = self._goal
         if not self._held and not (goal is not None and goal.done):
             self._put(*self._streamed.chunk(), last=True)
-            deadline = time.monotonic() + _RESTS
+            deadline = time.monotonic() + _REST_TIMEOUT
             while not (self._goal is not None and self._goal.done) and time.monotonic() < deadline:
-                self._told.clear()
-                self._told.wait(0.1)
+                self._reported.clear()
+                self._reported.wait(0.1)
         goal = self._goal
         problem = None if goal is None else goal.problem
         log.info("session ended goal_id=%s reason=%s", self.goal_id, "" if problem is None else problem.message)
@@ -390,5 +393,5 @@ class Session:
 
 def soft(limits: Limits) -> Limits:
     """The limits for steps, such that the quintics of a chunk stay inside `limits` between samples too."""
-    acceleration = _SHARE * limits.acceleration
-    return replace(limits, acceleration=acceleration, jerk=np.minimum(limits.jerk, acceleration / _SOFT))
+    acceleration = _ACCELERATION_SHARE * limits.acceleration
+    return replace(limits, acceleration=acceleration, jerk=np.minimum(limits.jerk, acceleration / _ACCELERATION_TIME))

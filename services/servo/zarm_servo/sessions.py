@@ -99,7 +99,7 @@ class Sessions:
                 self._plan,
                 self._metrics,
             )
-            session.hear_speed(executor)
+            session.on_speed(executor)
             self._session = self._guard.session = session
             session.open()
             log.info("session open goal_id=%s margin=%g", goal_id, request.margin)
@@ -112,7 +112,7 @@ class Sessions:
             session.close()
         return Nothing()
 
-    def hear_target(self, _key: str, payload: bytes) -> None:
+    def on_target(self, _key: str, payload: bytes) -> None:
         """Take a live target; those of other sessions are ignored."""
         now, session = time.monotonic(), self._open()
         if session is None:
@@ -125,7 +125,7 @@ class Sessions:
         if message.goal_id == session.goal_id:
             session.inbox.hear(message, now)
 
-    def hear_goal(self, _key: str, goal: GoalState) -> None:
+    def on_goal(self, _key: str, goal: GoalState) -> None:
         """Take a goal state from the executor; the executor state that follows it may still be on its way."""
         if goal.done:
             with self._news:
@@ -133,16 +133,16 @@ class Sessions:
                 self._news.notify_all()
         session = self._session
         if session is not None and session.goal_id == goal.goal_id:
-            session.hear_goal(goal)
+            session.on_goal(goal)
 
-    def hear_state(self, _key: str, state: ExecutorState) -> None:
+    def on_state(self, _key: str, state: ExecutorState) -> None:
         """Take the executor's state."""
         with self._news:
             self._executor = state
             self._news.notify_all()
         session = self._open()
         if session is not None:
-            session.hear_speed(state)
+            session.on_speed(state)
 
     def _free_executor(self) -> ExecutorState:
         """The idle executor. Raises Unavailable if none is heard, and Busy if it runs a goal."""

@@ -33,10 +33,10 @@ class _Visual:
 def body_of(robot: RobotDescription) -> Body:
     """The robot's look."""
     visuals = _visuals(robot.urdf_path)
-    return {link: _look(robot, link, visuals.get(link, ())) for link in {*visuals, *robot.descriptor.collision}}
+    return {link: _shapes_of(robot, link, visuals.get(link, ())) for link in {*visuals, *robot.descriptor.collision}}
 
 
-def _look(robot: RobotDescription, link: str, visuals: tuple[_Visual, ...]) -> tuple[Shape, ...]:
+def _shapes_of(robot: RobotDescription, link: str, visuals: tuple[_Visual, ...]) -> tuple[Shape, ...]:
     try:
         meshes = tuple((file_mesh(visual.file, visual.scale), visual.at) for visual in visuals)
     except (ValueError, OSError) as error:

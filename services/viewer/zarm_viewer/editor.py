@@ -250,7 +250,7 @@ def main() -> int:
         log.error("cannot run reason=%s", error)
         return 1
     print(editor.address, flush=True)  # noqa: T201 - what is opened in the browser
-    while not signals.heard:
+    while not signals.received:
         signals.wait()
     editor.close()
     return 0

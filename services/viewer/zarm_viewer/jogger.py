@@ -63,7 +63,7 @@ class Jogger:
         self._kind: Kind = "jog"
         self._send: Send | None = None
         self._until = 0.0
-        self._told = 0.0
+        self._reported = 0.0
         panels.server.on_client_disconnect(lambda client: self.release(client.client_id))
         threading.Thread(target=self._run, name="jog", daemon=True).start()
 
@@ -76,8 +76,8 @@ class Jogger:
         now = time.monotonic()
         with self._changed:
             if self._owner not in (None, client.client_id):
-                if now - self._told > _TOLD:
-                    self._told = now
+                if now - self._reported > _TOLD:
+                    self._reported = now
                     client.add_notification("Somebody else jogs", "Try again when they have let go.", color="orange")
                 return
             if self._held.asked(client.client_id, now):

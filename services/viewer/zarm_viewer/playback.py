@@ -44,7 +44,7 @@ class Playback:
             self._payloads[key].append(payload)
         self._at, self._since = 0.0, time.monotonic()
         self._playing = True
-        self._told: dict[str, int] = {}
+        self._reported: dict[str, int] = {}
 
     @property
     def at(self) -> float:
@@ -74,7 +74,7 @@ class Playback:
     def seek(self, at: float) -> None:
         """Go to another moment (s)."""
         if at < self.at:
-            self._told.clear()
+            self._reported.clear()
         self._at, self._since = at, time.monotonic()
 
     def take(self, joint_names: tuple[str, ...]) -> News:
@@ -84,8 +84,8 @@ class Playback:
         at, found = self.at, []
         for key, times in self._times.items():
             index = bisect(times, at) - 1
-            if index >= 0 and index != self._told.get(key):
-                self._told[key] = index
+            if index >= 0 and index != self._reported.get(key):
+                self._reported[key] = index
                 if (message := self._decoded(key, self._payloads[key][index])) is not None:
                     found.append((times[index], key, message))
         found.sort(key=lambda each: each[0])

@@ -36,7 +36,7 @@ class RecordPanel:
         changed(panels, speed, "speed", choose)
         if (far := story.deviation) is not None:
             gui.add_markdown(f"furthest off: {far.joint} by {1e3 * far.size:.1f} mrad at {far.time:.2f} s")
-        self._told = gui.add_markdown("")
+        self._reported = gui.add_markdown("")
         self._lines = [
             (each.time, f"`{each.time:7.2f} s` {escape(each.subject)}: {escape(each.what)}") for each in story.events
         ]
@@ -50,4 +50,4 @@ class RecordPanel:
         past = [line for time, line in self._lines if time <= at]
         if len(past) != self._shown:
             self._shown = len(past)
-            self._told.content = "  \n".join(reversed(past))
+            self._reported.content = "  \n".join(reversed(past))

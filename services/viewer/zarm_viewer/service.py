@@ -101,7 +101,7 @@ def main() -> int:
             stack.callback(page.close)
             log.info("ready page=%s role=%s robots=%s", page.address, role, ",".join(one.name for one in shown))
             print(page.address, flush=True)  # noqa: T201 - what is opened in the browser
-            while not signals.heard:
+            while not signals.received:
                 signals.wait()
     except ZarmError as error:
         log.error("cannot run reason=%s", error)

@@ -20,7 +20,7 @@ LINES = 5
 """The least height of the status in lines of text. If it grew and shrank, buttons below it would move between two clicks."""
 SILENT = 1.0
 """Joint states older than this (s) are shown as stale."""
-LOOK = 1.0
+REFRESH_PERIOD = 1.0
 """Interval (s) at which records of faults are looked for."""
 
 
@@ -123,7 +123,7 @@ class EventsPanel:
 
         self._text = gui.add_markdown("")
         self._shown = ""
-        self._look = 0.0
+        self._refreshed_at = 0.0
         panels.note(f"page opened on {panels.name}, {time.strftime('%Y-%m-%d')}")
 
     def draw(self) -> None:
@@ -131,8 +131,8 @@ class EventsPanel:
         text = "  \n".join(list(self._panels.events))
         if text != self._shown:
             self._text.content = self._shown = text
-        if (now := time.monotonic()) > self._look:
-            self._look = now + LOOK
+        if (now := time.monotonic()) > self._refreshed_at:
+            self._refreshed_at = now + REFRESH_PERIOD
             names = tuple(sorted((file.name for file in self._records.glob("*.mcap")), reverse=True))
             if names and names != self._choice.options:
                 self._choice.options = names

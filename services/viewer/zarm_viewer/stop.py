@@ -16,12 +16,14 @@ log = logging.getLogger(__name__)
 
 
 class Stop:
-    """Stops one robot on request; `told` is called with the result. Use it in `with`."""
+    """Stops one robot on request; `reported` is called with the result. Use it in `with`."""
 
-    def __init__(self, endpoint: str, name: str, role: Role, told: Callable[[str, ZarmError | None], object]) -> None:
+    def __init__(
+        self, endpoint: str, name: str, role: Role, reported: Callable[[str, ZarmError | None], object]
+    ) -> None:
         self._bus = Bus(endpoint, role=role)
         self._robot = Robot(Connection.of(self._bus, keys_of(name)))
-        self._told = told
+        self._reported = reported
         self._pressed, self._ended = threading.Event(), False
         self._thread = threading.Thread(target=self._run, name=f"stop {name}", daemon=True)
         self._thread.start()
@@ -44,6 +46,6 @@ class Stop:
                 self._robot.stop()
             except ZarmError as error:
                 log.warning("stop failed robot=%s reason=%s", self._robot.name, error)
-                self._told(self._robot.name, error)
+                self._reported(self._robot.name, error)
             else:
-                self._told(self._robot.name, None)
+                self._reported(self._robot.name, None)

@@ -47,9 +47,9 @@ def test_a_motion_is_on_record_as_it_went_over_the_bus_and_is_told(
         assert command.end() == 0
         assert f"messages in {file}" in command.output()
     entries = list(read_record(file))
-    told = [payload for _, key, payload in entries if key == KEYS.goal(goal_id)]
+    reported = [payload for _, key, payload in entries if key == KEYS.goal(goal_id)]
     heard = [encode(goal) for goal in client.goals if goal.goal_id == goal_id]
-    assert told == heard
+    assert reported == heard
     measured = [payload for _, key, payload in entries if key == KEYS.joint_states]
     heard = [encode(state) for state in client.measured]
     began = heard.index(measured[0])

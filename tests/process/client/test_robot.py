@@ -155,12 +155,12 @@ def test_a_robot_is_found_by_itself_or_by_name(place: str) -> None:
 
 
 def test_the_progress_of_a_goal_is_told_up_to_its_end(robot: zarm.Robot) -> None:
-    told: list[GoalState] = []
-    last = robot.execute(robot.plan(ELSEWHERE), on_progress=told.append)
-    assert told[-1] == last
+    reported: list[GoalState] = []
+    last = robot.execute(robot.plan(ELSEWHERE), on_progress=reported.append)
+    assert reported[-1] == last
     assert last.status == "succeeded"
-    assert len(told) > 3
-    assert all(before.progress <= after.progress for before, after in itertools.pairwise(told))
+    assert len(reported) > 3
+    assert all(before.progress <= after.progress for before, after in itertools.pairwise(reported))
 
 
 def test_a_goal_that_is_started_is_followed_and_cancelled_by_its_id(robot: zarm.Robot) -> None:
@@ -291,22 +291,22 @@ def test_the_asynchronous_client_does_the_same(robot: zarm.Robot, place: str) ->
         async with zarm.aio.connect(place) as arm:
             await arm.scene.add(zarm.Sphere("ball", radius=0.05, position=(0.0, -0.8, 0.2)))
             assert "ball" in await arm.scene.objects()
-            told: list[str] = []
+            reported: list[str] = []
             loop_thread = threading.current_thread()
             in_loop: list[bool] = []
 
             def progress(goal: GoalState) -> None:
-                told.append(goal.status)
+                reported.append(goal.status)
                 in_loop.append(threading.current_thread() is loop_thread)
 
             last = await arm.execute(await arm.plan(ELSEWHERE), on_progress=progress)
             async for state in arm.joint_states():
                 assert state.position == pytest.approx(ELSEWHERE, abs=0.01)
                 break
-            return last, told, all(in_loop)
+            return last, reported, all(in_loop)
 
-    last, told, in_loop = asyncio.run(main())
-    assert last.status == told[-1] == "succeeded"
+    last, reported, in_loop = asyncio.run(main())
+    assert last.status == reported[-1] == "succeeded"
     assert in_loop
 
 

@@ -71,8 +71,8 @@ def test_a_process_that_stood_still_as_a_whole_is_not_ended(endpoint: str, bus: 
         with arm.new_executor() as executor:
             executor.wait_ready(bus, KEYS)
             os.kill(executor.process.pid, signal.SIGSTOP)
-            seen = len(arm.told)
-            eventually(lambda: (len(arm.told) - seen) * STEP > 4.0, "the executor has stood still for long")
+            seen = len(arm.reported)
+            eventually(lambda: (len(arm.reported) - seen) * STEP > 4.0, "the executor has stood still for long")
             os.kill(executor.process.pid, signal.SIGCONT)
             assert executor.wait_ready(bus, KEYS).pid == executor.process.pid
             assert arm.client.state().mode == "idle"

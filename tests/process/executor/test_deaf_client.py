@@ -39,6 +39,6 @@ def test_the_robot_moves_and_stops_beside_a_client_that_takes_nothing(tmp_path: 
             assert not answer.done()  # what is told waits for the client
         assert answer.result().mode in ("stopping", "idle")
         assert client.ended(goal_id).status == "cancelled"
-        told = ["accepted", "running", "stopping", "cancelled"]
-        eventually(lambda: client.statuses(goal_id) == told, "all of it is told")
+        reported = ["accepted", "running", "stopping", "cancelled"]
+        eventually(lambda: client.statuses(goal_id) == reported, "all of it is told")
         assert client.greatest_acceleration() <= 1.05

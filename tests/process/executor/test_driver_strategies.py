@@ -42,8 +42,8 @@ def test_a_goal_is_reached_on_every_joint_and_what_is_measured_is_published(
         np.testing.assert_allclose(robot.at_rest(), FAR, atol=0.005)
         np.testing.assert_allclose(robot.client.position(), robot.arm(), atol=1e-9)
         assert robot.client.measured[-1].joint_names == ROBOT.descriptor.joints
-        assert robot.told[-1].joint_names != ROBOT.descriptor.joints
-        assert robot.client.measured[-1].stamp in {state.stamp for state in robot.told}
+        assert robot.reported[-1].joint_names != ROBOT.descriptor.joints
+        assert robot.client.measured[-1].stamp in {state.stamp for state in robot.reported}
         progress = [goal.progress for goal in robot.client.goals]
         assert progress == sorted(progress)
         assert len(set(progress)) > 5
@@ -240,16 +240,16 @@ def test_noise_on_the_keys_of_the_driver_does_no_harm(bus: Bus, endpoint: str, t
 @contextmanager
 def example(bus: Bus, endpoint: str) -> Iterator[list[JointState]]:
     """The example of a driver, telling its joints."""
-    told: list[JointState] = []
-    bus.subscribe(KEYS.driver_joint_states, lambda _, state: told.append(state))
+    reported: list[JointState] = []
+    bus.subscribe(KEYS.driver_joint_states, lambda _, state: reported.append(state))
     joints, at = reversed(ROBOT.descriptor.joints), [str(value) for value in reversed(HOME.tolist())]
     command = [sys.executable, str(EXAMPLE), "--connect", endpoint, "--joints", *joints, "--at", *at]
     with ahead_of_others():
         process = subprocess.Popen(command)
     try:
-        eventually(lambda: told or process.poll() is not None, "the example tells its joints")
+        eventually(lambda: reported or process.poll() is not None, "the example tells its joints")
         assert process.poll() is None
-        yield told
+        yield reported
     finally:
         process.kill()
         process.wait(PATIENCE)
@@ -259,7 +259,7 @@ def example(bus: Bus, endpoint: str) -> Iterator[list[JointState]]:
 @pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_trajectory"))
 def test_the_example_of_a_driver_moves_its_arm(bus: Bus, endpoint: str, tmp_path: Path, strategy: str) -> None:
     with (
-        example(bus, endpoint) as told,
+        example(bus, endpoint) as reported,
         ServiceProcess(
             "executor", endpoint, tmp_path, robot=str(patient(tmp_path / "patient")), arguments=("--strategy", strategy)
         ) as process,
@@ -270,7 +270,7 @@ def test_the_example_of_a_driver_moves_its_arm(bus: Bus, endpoint: str, tmp_path
         goal_id = client.execute(THERE)
         assert client.ended(goal_id).status == "succeeded", client.goal(goal_id)
         np.testing.assert_allclose(client.position(), FAR, atol=0.01)
-        np.testing.assert_allclose(client.position(), tuple(reversed(told[-1].position)), atol=0.01)
+        np.testing.assert_allclose(client.position(), tuple(reversed(reported[-1].position)), atol=0.01)
 
 
 @contextmanager
@@ -278,7 +278,9 @@ def driver_that_never_tells_of_the_end(bus: Bus) -> Iterator[None]:
     """A driver whose last progress gets lost, as on a link that drops it."""
     side, ended = BusSide(bus, KEYS, Axes.of(ROBOT.descriptor)), threading.Event()
     driver = LeelooDriver(
-        Player(HOME), side.tell_joints, lambda told: None if told.fraction > 0.99 else side.tell_progress(told)
+        Player(HOME),
+        side.tell_joints,
+        lambda reported: None if reported.fraction > 0.99 else side.tell_progress(reported),
     )
     side.listen(driver.play)
     thread = threading.Thread(target=driver.run, args=(ended,))

@@ -198,7 +198,7 @@ def test_a_robot_behind_a_driver_follows_and_rests_when_the_client_dies(
     with driven(bus, endpoint, tmp_path, strategy, *plays) as robot:
         process = run_example(endpoint, 60.0)
         try:
-            eventually(lambda: robot.told and abs(robot.arm()[0] - HOME[0]) > 0.2, "the arm follows")
+            eventually(lambda: robot.reported and abs(robot.arm()[0] - HOME[0]) > 0.2, "the arm follows")
         finally:
             process.kill()
             process.wait()

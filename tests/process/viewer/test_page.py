@@ -149,13 +149,13 @@ def test_a_goal_in_collision_is_said_to_be_and_nothing_is_executed_that_was_not_
     cell.robot.scene.add(zarm.Cuboid("in_the_way", size=(0.1, 0.1, 0.1), position=(x, y, z)))
     aim_home(page)
     expect(page.get_by_text("collision", exact=True)).to_be_visible()
-    told = page.get_by_role("alert")
+    reported = page.get_by_role("alert")
     assert drawn(page, "path")
     page.get_by_role("button", name="Plan", exact=True).click()
-    expect(told.filter(has_text="Plan:").first).to_be_visible()
+    expect(reported.filter(has_text="Plan:").first).to_be_visible()
     eventually(lambda: not drawn(page, "path"), "the path of the plan before is gone")
     page.get_by_role("button", name="Execute", exact=True).click()
-    expect(told.filter(has_text="there is no plan").first).to_be_visible()
+    expect(reported.filter(has_text="there is no plan").first).to_be_visible()
     expect(page.get_by_text("clearance")).to_be_hidden()
     assert cell.rests()
     page.get_by_role("button", name="Back to the robot").click()
@@ -298,11 +298,11 @@ def test_keys_jog_the_chosen_robot_and_no_other(page: Page, cell: Cell, chromium
     choose(both, "robot", "beside_it")
     both.mouse.click(100, 400)  # in the view: in an input, keys are letters
     before = cell.robot.joint_state().position
-    told = both.get_by_role("alert").filter(has_text="jog: unavailable")
+    reported = both.get_by_role("alert").filter(has_text="jog: unavailable")
 
     def refused() -> bool:
         both.keyboard.down("I")
-        return told.count() > 0
+        return reported.count() > 0
 
     both.keyboard.down("Shift")
     eventually(refused, "the chosen robot is asked to jog")
@@ -410,13 +410,13 @@ def test_who_jogs_has_the_robot_and_it_rests_when_their_page_is_lost(
     start = cell.robot.tip().position
     hold(second, "+ x")
     eventually(lambda: abs(cell.robot.tip().position[0] - start[0]) > 0.01, "it moves as long as the button is held")
-    told = [each.get_by_text("Somebody else jogs").first for each in (page, second)]
+    reported = [each.get_by_text("Somebody else jogs").first for each in (page, second)]
 
     def one_is_told() -> bool:
         if cell.rests():  # a page that was held up has let go
             hold(second, "+ x")
         hold(page, "− x")
-        return any(each.is_visible() for each in told)
+        return any(each.is_visible() for each in reported)
 
     eventually(one_is_told, "who does not have the robot is told")
     page.mouse.up()

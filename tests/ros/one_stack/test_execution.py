@@ -71,13 +71,13 @@ def test_an_empty_goal_runs_the_last_plan_and_tells_how_far_it_is(robot: Robot, 
     status, result = goal.ended()
     assert (status, result.success, result.message) == (SUCCEEDED, True, "Trajectory executed successfully")
     assert np.allclose(robot.joints(), plan.trajectory.position[-1], atol=1e-3)
-    words = list(dict.fromkeys(told.state for told in goal.feedback))
+    words = list(dict.fromkeys(report.state for report in goal.feedback))
     assert words == ["EXECUTING"]
-    shares = [told.step_progression for told in goal.feedback]
+    shares = [report.step_progression for report in goal.feedback]
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
     assert len([share for share in shares if 0.0 < share < 1.0]) >= 5
-    assert all(tuple(told.joint_command.name) == plan.trajectory.joint_names for told in goal.feedback)
+    assert all(tuple(report.joint_command.name) == plan.trajectory.joint_names for report in goal.feedback)
     assert np.allclose(goal.feedback[-1].joint_command.position, plan.trajectory.position[-1], atol=1e-3)
 
 
@@ -116,7 +116,7 @@ def test_a_goal_that_is_cancelled_while_it_is_planned_ends_as_canceled_at_once(
         status, result = goal.ended()
         assert (status, result.success) == (CANCELED, False)
         assert robot.rests()
-        assert "EXECUTING" not in {told.state for told in goal.feedback}
+        assert "EXECUTING" not in {report.state for report in goal.feedback}
         assert robot.joints() == before
 
 
@@ -193,9 +193,9 @@ def test_a_second_goal_is_rejected_with_the_reason_in_the_log(running: Stack, ro
     first.under_way()
     assert not Actions(running.ros.node, "send_trajectory").send().accepted
     assert not actions.send(target_pose=TARGET).accepted
-    told = eventually(lambda: [line for line in lines if "rejected" in line.msg], "the rejection is in the log")
-    assert told[0].name == "unified_planner"
-    assert "cancel it first" in told[0].msg
+    report = eventually(lambda: [line for line in lines if "rejected" in line.msg], "the rejection is in the log")
+    assert report[0].name == "unified_planner"
+    assert "cancel it first" in report[0].msg
     assert first.ended()[0] == SUCCEEDED
 
 
@@ -245,17 +245,17 @@ def test_fifty_goals_at_once_are_all_answered_and_one_moves_the_robot(robot: Rob
 def test_what_a_goal_waits_for_is_on_the_diagnostics_and_with_the_strategy(
     running: Stack, robot: Robot, actions: Actions
 ) -> None:
-    told: list[DiagnosticStatus] = []
+    report: list[DiagnosticStatus] = []
     node = running.ros.node
-    subscription = node.create_subscription(DiagnosticArray, "/diagnostics", lambda new: told.extend(new.status), 10)
+    subscription = node.create_subscription(DiagnosticArray, "/diagnostics", lambda new: report.extend(new.status), 10)
     try:
         eventually(
-            lambda: [one for one in told if one.level == DiagnosticStatus.OK], "a robot at rest is said to be well"
+            lambda: [one for one in report if one.level == DiagnosticStatus.OK], "a robot at rest is said to be well"
         )
         plan = robot.plan(speed=0.15)
         goal = actions.send()
         goal.under_way()
-        eventually(lambda: [one for one in told if "no servo watches" in one.message], "it is said to be unguarded")
+        eventually(lambda: [one for one in report if "no servo watches" in one.message], "it is said to be unguarded")
         servo = robot.bus.publisher(KEYS.authority)
         in_the_way = Authority(
             servo="test",
@@ -266,7 +266,7 @@ def test_what_a_goal_waits_for_is_on_the_diagnostics_and_with_the_strategy(
             obstruction=Obstruction(object="box", link="link_4", time=0.8 * plan.trajectory.duration),
         )
         servo.put(in_the_way)
-        held = eventually(lambda: [one for one in told if "waits" in one.message], "it is said to wait")[-1]
+        held = eventually(lambda: [one for one in report if "waits" in one.message], "it is said to wait")[-1]
         assert (held.name, held.level) == ("arm: motion", DiagnosticStatus.WARN)
         assert held.message == "the goal waits: box is in the way of link_4"
         assert {one.key: one.value for one in held.values}["object"] == "box"

@@ -117,7 +117,7 @@ def unharmed(running: Stack) -> Iterator[None]:
     assert plan.success, plan.message
 
 
-def told(response: Any) -> tuple[bool, str]:
+def report(response: Any) -> tuple[bool, str]:
     """Whether it went well, and what went wrong."""
     message = response.error_msg.data if hasattr(response, "error_msg") else response.message
     return (response.success if hasattr(response, "success") else not message), message
@@ -126,7 +126,7 @@ def told(response: Any) -> tuple[bool, str]:
 @pytest.mark.parametrize("what", LARGE)
 def test_what_is_larger_than_the_limits_is_refused_with_the_limit(running: Stack, what: str) -> None:
     name, request, reason = LARGE[what]
-    success, message = told(running.ros.call(GOOD[name][0], name, **request))
+    success, message = report(running.ros.call(GOOD[name][0], name, **request))
     assert not success
     assert reason in message
     assert len(message) < LONGEST
@@ -141,7 +141,7 @@ def test_every_service_answers_damaged_requests_with_a_sentence(running: Stack, 
     for _ in range(COUNT):
         request = damaged(good, chance, chance.choice((0.05, 0.3)))
         response = running.ros.call(kind, name, **{field: getattr(request, field) for field in fields})
-        success, message = told(response)
+        success, message = report(response)
         assert success or message, request
         assert len(message) < LONGEST
         assert "the ROS bridge failed" not in message, request

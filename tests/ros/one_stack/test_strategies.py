@@ -90,10 +90,10 @@ def test_both_versions_are_served_at_the_same_time(running: Stack, first: RosCli
 
 
 def test_the_strategies_are_listed_with_the_active_one(running: Stack, first: RosClient) -> None:
-    told = running.ros.call(GetRobotStrategies, "get_robot_strategies")
-    assert told.success
-    assert set(told.strategy_names) == {"emulator", "ghost", "joint_speed", "joint_pose", "joint_trajectory"}
-    assert list(told.strategy_ids) == list(range(5))
-    assert told.current_strategy_name == told.strategy_names[told.current_strategy_id] == "emulator"
+    report = running.ros.call(GetRobotStrategies, "get_robot_strategies")
+    assert report.success
+    assert set(report.strategy_names) == {"emulator", "ghost", "joint_speed", "joint_pose", "joint_trajectory"}
+    assert list(report.strategy_ids) == list(range(5))
+    assert report.current_strategy_name == report.strategy_names[report.current_strategy_id] == "emulator"
     answered = running.ros.call(Trigger, "get_robot_strategy")
     assert (answered.success, answered.message) == (True, "emulator")

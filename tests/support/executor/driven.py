@@ -25,7 +25,7 @@ LIMIT = 1.2
 
 
 class Driven:
-    """`client` talks to the executor; `told` are the joint states published by the driver, `commands` those that it
+    """`client` talks to the executor; `reported` are the joint states published by the driver, `commands` those that it
     received.
 
     A robot that is `waited_for` may be silent for longer, as on a busy machine, before the executor gives it up.
@@ -46,9 +46,9 @@ class Driven:
         self.strategy, self.joints = strategy, robot.descriptor.joints
         self.keys = keys = Keys(robot.descriptor.name)
         self.client = Client(bus, keys)
-        self.told: list[JointState] = []
+        self.reported: list[JointState] = []
         self.commands: list[DriverCommand] = []
-        bus.subscribe(keys.driver_joint_states, lambda _, state: self.told.append(state))
+        bus.subscribe(keys.driver_joint_states, lambda _, state: self.reported.append(state))
         bus.subscribe(keys.driver_command, lambda _, command: self.commands.append(command))
         self.driver: ServiceProcess
         self.executor: ServiceProcess
@@ -66,15 +66,15 @@ class Driven:
 
     def arm(self) -> np.ndarray:
         """The last reported position of the arm, in the executor's order."""
-        state = self.told[-1]
+        state = self.reported[-1]
         return np.array([state.position[state.joint_names.index(name)] for name in self.joints])
 
     def at_rest(self) -> np.ndarray:
         """Wait until the driver reports that the arm stands, and check that it stays; returns where."""
-        eventually(lambda: self.told and not any(self.told[-1].velocity), "the arm stands")
-        where, seen = self.told[-1].position, len(self.told)
-        eventually(lambda: len(self.told) > seen + 50, "the driver tells the joints")
-        assert {state.position for state in self.told[seen:]} == {where}
+        eventually(lambda: self.reported and not any(self.reported[-1].velocity), "the arm stands")
+        where, seen = self.reported[-1].position, len(self.reported)
+        eventually(lambda: len(self.reported) > seen + 50, "the driver tells the joints")
+        assert {state.position for state in self.reported[seen:]} == {where}
         return self.arm()
 
     def fault(self, code: str) -> ExecutorState:

@@ -144,7 +144,7 @@ class DriverBench:
         self.stalled_at = self.stalled_until = -np.inf
         self._expiry = Expiry()
         self.late = 0
-        self._told: deque[tuple[float, JointState, DriverProgress | None]] = deque()
+        self._reported: deque[tuple[float, JointState, DriverProgress | None]] = deque()
         self._sequence = 0
         self.robot = robot_with(control_rate=rate, **params)
         if wraps:

@@ -101,8 +101,8 @@ class Arena(Driven):
 
     def all_heard(self) -> None:
         """Wait until the driver and the executor are heard."""
-        seen = len(self.told)
-        eventually(lambda: len(self.told) > seen, "the driver is heard")
+        seen = len(self.reported)
+        eventually(lambda: len(self.reported) > seen, "the driver is heard")
         self.heard()
 
     def ghost(self) -> list[JointState]:

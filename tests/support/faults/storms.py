@@ -41,13 +41,13 @@ class Storm(ClientProcesses):
         several.
         """
         lines = [json.dumps([number, key, encode(request).decode()]) for number, (key, request) in enumerate(requests)]
-        told: dict[int, tuple[str, str]] = {}
+        reported: dict[int, tuple[str, str]] = {}
         for answer in self.ask_at_once(lines):
             number, kind, text = json.loads(answer)
-            assert number not in told, f"two answers to {requests[number]}"
-            told[number] = kind, text
-        assert sorted(told) == list(range(len(requests)))
-        return [_answer(*requests[number], *told[number]) for number in range(len(requests))]
+            assert number not in reported, f"two answers to {requests[number]}"
+            reported[number] = kind, text
+        assert sorted(reported) == list(range(len(requests)))
+        return [_answer(*requests[number], *reported[number]) for number in range(len(requests))]
 
 
 def storm(endpoint: str, requests: Sequence[tuple[str, Message]]) -> list[Answer]:

@@ -23,7 +23,7 @@ PATIENCE = 20.0  # s without any progress
 
 def main(count: int) -> None:
     signals.expect()
-    signal.signal(signal.SIGALRM, lambda number, _: signals.heard.append(number))
+    signal.signal(signal.SIGALRM, lambda number, _: signals.received.append(number))
     progress = threading.Event()
 
     def watch() -> None:
@@ -35,11 +35,11 @@ def main(count: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
     aim = random.Random(0)
     for number in range(count):
-        signals.heard.clear()
+        signals.received.clear()
         moment = aim.choice((SPREAD, WAIT)) + aim.uniform(-SPREAD, SPREAD)
         signal.setitimer(signal.ITIMER_REAL, max(moment, 1e-6))
         signals.wait(WAIT)
-        while not signals.heard:
+        while not signals.received:
             signals.wait()
         if number % 100 == 0:
             progress.set()

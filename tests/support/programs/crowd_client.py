@@ -45,7 +45,7 @@ def _requests() -> list[tuple[str, type[Any], Any]]:
     ]
 
 
-def _told(name: str, response: Any) -> tuple[str, bool, str]:
+def _reported(name: str, response: Any) -> tuple[str, bool, str]:
     if name == "fk":
         return name, not response.error_msg.data, response.error_msg.data
     return name, response.success, "" if response.success else getattr(response, "message", "")
@@ -77,8 +77,8 @@ def _clients(count: int) -> None:
     sys.stdout.flush()
     for _ in sys.stdin:
         for (name, _, _), future in zip(asked, _asked(executor, asked), strict=True):
-            told = _told(name, future.result()) if future.done() else (name, False, "NO ANSWER")
-            sys.stdout.write(json.dumps(told) + "\n")
+            reported = _reported(name, future.result()) if future.done() else (name, False, "NO ANSWER")
+            sys.stdout.write(json.dumps(reported) + "\n")
         sys.stdout.write("\n")
         sys.stdout.flush()
     executor.shutdown()

@@ -97,9 +97,9 @@ def action(node: Node, _: str, name: str, kind: str, values: str, *options: str)
         say("Feedback:")
         show(message.feedback)
 
-    told = tell if "--feedback" in options else None
+    reported = tell if "--feedback" in options else None
     goal = wait(
-        node, client.send_goal_async(fill(kind_of(kind).Goal(), yaml.safe_load(values)), feedback_callback=told)
+        node, client.send_goal_async(fill(kind_of(kind).Goal(), yaml.safe_load(values)), feedback_callback=reported)
     )
     if not goal.accepted:
         say("Goal was rejected.")

@@ -75,7 +75,9 @@ class TypedClient:
         if not client.wait_for_server(PATIENCE):
             raise SystemExit(f"there is no action {name}")
         feedback: list[Any] = []
-        sent = client.send_goal_async(filled(kind.Goal(), goal), lambda told: feedback.append(plain(told.feedback)))
+        sent = client.send_goal_async(
+            filled(kind.Goal(), goal), lambda reported: feedback.append(plain(reported.feedback))
+        )
         ended = self.result(self.result(sent).get_result_async())
         client.destroy()
         return {"status": ended.status, "result": plain(ended.result), "feedback": feedback}

@@ -43,7 +43,7 @@ class RosClient:
     def heard(self, kind: type[Any], topic: str, qos: QoSProfile | int = 10) -> list[Any]:
         """A list to which every message on `topic` is added from now on; the publisher is known when this returns.
 
-        The publisher may not know of the subscription yet, as DDS discovers each direction separately: see `told`.
+        The publisher may not know of the subscription yet, as DDS discovers each direction separately: see `reported`.
         """
         messages: list[Any] = []
         subscription = self.node.create_subscription(kind, topic, messages.append, qos)
@@ -56,7 +56,7 @@ def one(messages: Sequence[Any], what: str) -> Any:
     return eventually(lambda: messages and messages[0], what)
 
 
-def told(messages: Sequence[Any], tell: Callable[[], object], what: str) -> Any:
+def reported(messages: Sequence[Any], tell: Callable[[], object], what: str) -> Any:
     """The first message that arrives after `tell()` makes someone publish; `tell()` is repeated each second until then.
 
     Messages published before the publisher knows of the subscriber are lost.

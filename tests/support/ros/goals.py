@@ -33,7 +33,9 @@ class Sent:
         self._node = node
         self._answer = on_its_thread(
             node,
-            lambda: client.send_goal_async(goal, feedback_callback=lambda told: self.feedback.append(told.feedback)),
+            lambda: client.send_goal_async(
+                goal, feedback_callback=lambda reported: self.feedback.append(reported.feedback)
+            ),
         )
         self._result: Any = None
 
@@ -45,7 +47,7 @@ class Sent:
 
     def under_way(self) -> None:
         """Wait until the robot is in the middle of the motion."""
-        moving = lambda: any(0.1 < told.step_progression < 0.9 for told in self.feedback)  # noqa: E731
+        moving = lambda: any(0.1 < reported.step_progression < 0.9 for reported in self.feedback)  # noqa: E731
         ended = self._ask_for_result()
         eventually(lambda: moving() or ended.done(), "the robot moves")
         assert moving(), ended.result().result.message

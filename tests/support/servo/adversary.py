@@ -137,7 +137,7 @@ class _Run:
         authorities: Any = SimpleNamespace(put=lambda said: self._post(lambda: self._hear(said)))
         nothing: Any = SimpleNamespace(set=lambda _: None)
         self._guard = Guard(robot, cell.checker, MESHES, measured, authorities, nothing, "servo", Metrics())
-        self._guard.monitor.hear_scene("", Scene(revision=SCENE, objects=(self._item,)))
+        self._guard.monitor.on_scene("", Scene(revision=SCENE, objects=(self._item,)))
         self._killed_at = clock.now + rng.uniform(0.1, 2.5) if dies else np.inf
         self._due = clock.now
         self._tell_pose(at_once=True)
@@ -169,8 +169,8 @@ class _Run:
         message = rest_to_rest(self._goal, self._start, slower=float(self._rng.uniform(1.0, 2.0)))
         trajectory = TimedTrajectory.of(message, _JOINTS)
         goal = Goal("goal-1", None, trajectory, Monitor(trajectory, self._bench.robot), SCENE)
-        told = GoalTrajectory(goal_id="goal-1", number=1, start=0.0, trajectory=message, scene_revision=SCENE)
-        self._guard.hear_trajectory("", told)
+        reported = GoalTrajectory(goal_id="goal-1", number=1, start=0.0, trajectory=message, scene_revision=SCENE)
+        self._guard.on_trajectory("", reported)
         self._guard._goals._running = "goal-1"
         self._guard._look()
         while self._mail:
@@ -198,7 +198,7 @@ class _Run:
             goal = machine.steer("servo-1", piece, LIMITS)
         if goal is not None and self._session is not None:
             followed, session = goal.followed(_JOINTS), self._session
-            self._post(lambda: session.hear_trajectory(followed))
+            self._post(lambda: session.on_trajectory(followed))
 
     # -- the object --
 
@@ -206,7 +206,7 @@ class _Run:
         """An object with a reported velocity, whose true one may be anything within the stated speed of that."""
         rng = self._rng
         self._speed = float(rng.uniform(0.05, 1.0)) ** 2
-        self._told = self._direction() * rng.uniform(0.0, 0.4) if rng.random() < 0.4 else np.zeros(3)
+        self._reported = self._direction() * rng.uniform(0.0, 0.4) if rng.random() < 0.4 else np.zeros(3)
         self._period, self._delay = float(rng.uniform(0.01, 0.05)), float(rng.uniform(0.001, 0.03))
         self._offset = float(rng.uniform(-0.018, 0.018))
         if rng.random() < 0.5:
@@ -223,7 +223,7 @@ class _Run:
             if self._clearance.at(start, at) > least:
                 break
         self._at: Array = at
-        self._aim, self._share, self._velocity = "link_6", float(rng.choice((0.0, 1.0))), self._told
+        self._aim, self._share, self._velocity = "link_6", float(rng.choice((0.0, 1.0))), self._reported
 
     def _direction(self) -> Array:
         way = self._rng.normal(size=3)
@@ -241,13 +241,13 @@ class _Run:
         links = MODEL.link_transforms(exact.position + rng.uniform(0.0, 0.5) * exact.velocity)
         away = links[MODEL.links.index(self._aim), :3, 3] - self._at
         way = away / max(float(np.linalg.norm(away)), 1e-9)
-        self._velocity = self._told + self._share * self._speed * way
+        self._velocity = self._reported + self._share * self._speed * way
 
     def _tell_pose(self, *, at_once: bool = False) -> None:
         message = ObjectPose(
             stamp=_UNIX + self._time.now + self._offset,
             position=tuple(self._at.tolist()),
-            linear=tuple(self._told.tolist()),
+            linear=tuple(self._reported.tolist()),
             speed=self._speed,
         )
         payload = encode(message)
@@ -271,7 +271,7 @@ class _Run:
         """Run the attack."""
         bench, clock, arm = self._bench, self._time, self._bench.arm
         before, place = arm.exact.position, self._at
-        nearest, held, moved, told, skipped, rested = np.inf, False, False, None, 0, 0
+        nearest, held, moved, reported, skipped, rested = np.inf, False, False, None, 0, 0
         outcome: Outcome = "free"
         for step in itertools.count(1):
             clock.now += STEP
@@ -292,8 +292,8 @@ class _Run:
             goal = bench.machine.changes[-1] if bench.machine.changes else None
             if goal is not None:
                 held = held or goal.hold is not None
-                if goal is not told or step % (5 * _TICK) == 0:
-                    told = goal
+                if goal is not reported or step % (5 * _TICK) == 0:
+                    reported = goal
                     self._tell_goal(bench.machine.goal_state() or goal)
             now = arm.exact.position
             moved = moved or bool(np.abs(now - self._start).max() > 0.05)
@@ -319,7 +319,7 @@ class _Run:
 
     def _tell_goal(self, goal: GoalState) -> None:
         session, guard = self._session, self._guard
-        self._post(lambda: guard.hear_goal("", goal) if session is None else session.hear_goal(goal))
+        self._post(lambda: guard.on_goal("", goal) if session is None else session.on_goal(goal))
 
     def _servo(self, step: int) -> None:
         session = self._session

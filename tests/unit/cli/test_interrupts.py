@@ -21,10 +21,10 @@ def expected(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     before = {number: signal.getsignal(number) for number in BOTH}
     monkeypatch.setattr(interrupts, "_state", type(interrupts._state)())
     before_fd = signal.set_wakeup_fd(-1)
-    signals.heard.clear()
+    signals.received.clear()
     signals.expect()
     yield
-    signals.heard.clear()
+    signals.received.clear()
     signal.set_wakeup_fd(before_fd)
     for number, handler in before.items():
         signal.signal(number, handler)
@@ -108,14 +108,14 @@ def test_work_is_told_of_as_it_ends() -> None:
 
 
 def test_what_has_come_before_the_signal_is_not_lost() -> None:
-    told: Inbox[int] = Inbox()
-    told.put(1)
-    assert interrupts.wait_for(told) == 1
+    reported: Inbox[int] = Inbox()
+    reported.put(1)
+    assert interrupts.wait_for(reported) == 1
     threading.Timer(0.05, from_elsewhere, (signal.SIGINT,)).start()
     with pytest.raises(KeyboardInterrupt):
-        interrupts.wait_for(told)
-    told.put(2)
-    assert interrupts.wait_for(told) == 2
+        interrupts.wait_for(reported)
+    reported.put(2)
+    assert interrupts.wait_for(reported) == 2
 
 
 class Told:
@@ -134,17 +134,17 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_whoever_insists_ignores_the_first_tells_at_the_second_and_leaves_at_the_third(at_once: None) -> None:
-    told = Told()
-    with interrupts.insist(told):
+    reported = Told()
+    with interrupts.insist(reported):
         for times in (0, 1):
             signal.raise_signal(signal.SIGINT)
             for _ in range(2):
                 interrupts.check()
-            assert told.times == times
+            assert reported.times == times
         signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
             interrupts.wait_for(Inbox[int]())
-    assert told.times == 1
+    assert reported.times == 1
 
 
 def test_what_was_ignored_while_insisting_comes_up_afterwards(at_once: None) -> None:

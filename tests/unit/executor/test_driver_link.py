@@ -69,7 +69,7 @@ def test_joints_that_are_told_again_and_again_with_one_stamp_grow_old(link: Driv
     driver.put(frozen)
     first = eventually(link.measured, "the joints arrive")
     driver.put(frozen)
-    eventually(lambda: (told := newest.received()) and told[1] > first.time, "the same is told again")
+    eventually(lambda: (reported := newest.received()) and reported[1] > first.time, "the same is told again")
     assert link.measured() is first
     news = frozen.model_copy(update={"stamp": -3600.0})  # whatever the driver's clock does
     eventually(lambda: driver.put(news) or link.measured() is not first, "the joints are measured again")
@@ -77,26 +77,26 @@ def test_joints_that_are_told_again_and_again_with_one_stamp_grow_old(link: Driv
 
 def test_after_a_silence_what_was_told_during_it_is_passed_over(link: DriverLink, bus: Bus) -> None:
     driver = bus.publisher(KEYS.driver_joint_states)
-    told = state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
-    driver.put(told)
+    reported = state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+    driver.put(reported)
     first = eventually(link.measured, "the joints arrive")
     eventually(lambda: time.monotonic() - first.time > 0.3, "the driver is silent for long")
     newest = link._states
-    driver.put(told.model_copy(update={"stamp": 0.01}))
+    driver.put(reported.model_copy(update={"stamp": 0.01}))
     eventually(lambda: (late := newest.received()) and late[1] > first.time, "what was held up arrives")
     assert link.measured() is first
-    driver.put(told.model_copy(update={"stamp": 60.0}))
+    driver.put(reported.model_copy(update={"stamp": 60.0}))
     eventually(lambda: link.measured() is not first, "the joints are measured again")
 
 
 @pytest.mark.lengthy
 def test_a_driver_whose_clock_is_stepped_back_during_a_silence_is_heard_again(link: DriverLink, bus: Bus) -> None:
     driver = bus.publisher(KEYS.driver_joint_states)
-    told = state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
-    driver.put(told)
+    reported = state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+    driver.put(reported)
     first = eventually(link.measured, "the joints arrive")
     eventually(lambda: time.monotonic() - first.time > 0.3, "the driver is silent for long")
-    stepped = (told.model_copy(update={"stamp": -3600.0 + count}) for count in itertools.count())
+    stepped = (reported.model_copy(update={"stamp": -3600.0 + count}) for count in itertools.count())
     eventually(lambda: driver.put(next(stepped)) or link.measured() is not first, "the joints are measured again")
 
 

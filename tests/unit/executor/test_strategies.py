@@ -376,9 +376,9 @@ def test_a_robot_that_does_not_stop_ends_in_fault_and_is_told_to_stop_until_it_d
     assert "emergency stop" in bench.last().problem.message
     sent = len(bench.commands)
     bench.run(1.0)
-    told = [command for _, command in bench.commands[sent:]]
-    assert 8 <= len(told) <= 12
-    assert not any(command.time for command in told)
+    reported = [command for _, command in bench.commands[sent:]]
+    assert 8 <= len(reported) <= 12
+    assert not any(command.time for command in reported)
     bench.arm.step = step  # type: ignore[method-assign]
     bench.run(3.0)
     sent = len(bench.commands)

@@ -82,9 +82,9 @@ def test_who_has_nothing_running_is_next_and_then_clients_take_turns(monkeypatch
         for name in ("a1", "a2", "a3", "a4", "a5", "b1", "c1", "b2"):
             one.ask(name)
         one.has_begun("a1", "a2")
-        for told, next_one in (("a1", "b1"), ("a2", "a3"), ("b1", "c1"), ("a3", "b2"), ("c1", "a4"), ("b2", "a5")):
+        for reported, next_one in (("a1", "b1"), ("a2", "a3"), ("b1", "c1"), ("a3", "b2"), ("c1", "a4"), ("b2", "a5")):
             known = [*one.begun]
-            one.tell(told)
+            one.tell(reported)
             one.has_begun(*known, next_one)
 
 

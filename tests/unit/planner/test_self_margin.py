@@ -68,12 +68,12 @@ def test_a_goal_that_is_nearer_is_reached_and_said_to_be_nearer() -> None:
     near = folded(0.0, 0.8 * MARGIN)[0]
     verified = motion(np.array(MODEL.robot.descriptor.home), near, MARGIN)
     nearest = SCENE.exact.nearest(near)
-    told = {pair.pair: pair for pair in verified.too_near}[nearest.pair or ("", "")]
+    reported = {pair.pair: pair for pair in verified.too_near}[nearest.pair or ("", "")]
     assert np.allclose(verified.trajectory.position[-1], near, atol=1e-6)
-    assert told.distance == pytest.approx(verified.clearance, abs=1e-4)
-    assert told.distance <= nearest.distance + 1e-4
-    assert told.margin <= MARGIN
-    assert 0.0 < told.time <= verified.trajectory.duration + 1e-6
+    assert reported.distance == pytest.approx(verified.clearance, abs=1e-4)
+    assert reported.distance <= nearest.distance + 1e-4
+    assert reported.margin <= MARGIN
+    assert 0.0 < reported.time <= verified.trajectory.duration + 1e-6
 
 
 def test_no_margin_takes_more_than_its_share_of_what_is_free() -> None:

@@ -17,7 +17,7 @@ MODEL = RobotModel.of(ROBOT)
 JOINTS = np.random.default_rng(0).uniform(-2.0, 2.0, (4, 6))
 
 
-def told(joints: Array, position: Array, orientation: str = "") -> str:
+def reported(joints: Array, position: Array, orientation: str = "") -> str:
     return f"{','.join(map(repr, joints.tolist()))}={','.join(map(repr, position.tolist()))}{orientation}"
 
 
@@ -26,7 +26,7 @@ def tips(joints: Array) -> Array:
 
 
 def test_poses_of_the_same_arm_fit() -> None:
-    found = compare(ROBOT, [told(q, tip + 0.001) for q, tip in zip(JOINTS, tips(JOINTS), strict=True)])
+    found = compare(ROBOT, [reported(q, tip + 0.001) for q, tip in zip(JOINTS, tips(JOINTS), strict=True)])
     assert found.fits
     assert found.explanation is None
     assert found.distances == pytest.approx([0.001 * np.sqrt(3)] * 4)
@@ -36,24 +36,24 @@ def test_poses_of_the_same_arm_fit() -> None:
 def test_mirrored_axes_are_named(flipped: tuple[int, ...]) -> None:
     real = JOINTS.copy()
     real[:, flipped] *= -1.0
-    found = compare(ROBOT, [told(q, tip) for q, tip in zip(JOINTS, tips(real), strict=True)])
+    found = compare(ROBOT, [reported(q, tip) for q, tip in zip(JOINTS, tips(real), strict=True)])
     assert not found.fits
     assert found.explanation is not None
     assert all(ROBOT.descriptor.joints[joint] in found.explanation for joint in flipped)
 
 
 def test_units_and_another_point_are_named() -> None:
-    in_degrees = compare(ROBOT, [told(np.degrees(q), tip) for q, tip in zip(JOINTS, tips(JOINTS), strict=True)])
+    in_degrees = compare(ROBOT, [reported(np.degrees(q), tip) for q, tip in zip(JOINTS, tips(JOINTS), strict=True)])
     assert in_degrees.explanation == "the joints are in degrees"
-    in_millimetres = compare(ROBOT, [told(q, 1000 * tip) for q, tip in zip(JOINTS, tips(JOINTS), strict=True)])
+    in_millimetres = compare(ROBOT, [reported(q, 1000 * tip) for q, tip in zip(JOINTS, tips(JOINTS), strict=True)])
     assert in_millimetres.explanation == "the positions are in mm"
     beside = MODEL.fk_tip(JOINTS) @ [0.0, 0.0, 0.12, 1.0]
-    gripper = compare(ROBOT, [told(q, point[:3]) for q, point in zip(JOINTS, beside, strict=True)])
+    gripper = compare(ROBOT, [reported(q, point[:3]) for q, point in zip(JOINTS, beside, strict=True)])
     assert gripper.explanation == "what was measured is another point, 0, 0, 120 mm from the tip in its own frame"
 
 
 def test_an_orientation_counts() -> None:
-    found = compare(ROBOT, [told(JOINTS[0], tips(JOINTS)[0], ",0,0,0,1")])
+    found = compare(ROBOT, [reported(JOINTS[0], tips(JOINTS)[0], ",0,0,0,1")])
     assert not found.fits
     assert found.explanation is None
 

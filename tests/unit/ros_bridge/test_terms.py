@@ -43,12 +43,12 @@ TERMS = Terms("/left/unified_planner", Keys("left"), load_robot("doosan_m1013").
         ),
     ],
 )
-def test_a_key_that_has_a_name_on_ros_is_told_by_it_and_all_else_as_it_is(said: str, told: str) -> None:
-    assert TERMS.of(said) == told
+def test_a_key_that_has_a_name_on_ros_is_told_by_it_and_all_else_as_it_is(said: str, reported: str) -> None:
+    assert TERMS.of(said) == reported
 
     def refuse() -> None:
         raise Unavailable(said, field="start")
 
     with pytest.raises(Unavailable) as refused:
         Translated(TERMS).run_interruptibly(refuse)
-    assert (refused.value.problem.message, refused.value.problem.field) == (told, "start")
+    assert (refused.value.problem.message, refused.value.problem.field) == (reported, "start")

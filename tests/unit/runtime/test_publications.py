@@ -391,8 +391,8 @@ def test_an_observer_is_told_all_that_is_sent_and_received_as_it_went_over_the_b
 
 
 def test_whoever_listens_is_given_what_cannot_be_read_too(bus: Bus, plain: zenoh.Session) -> None:
-    heard: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
-    bus.listen(KEYS.driver_joint_states, lambda key, payload: heard.put((key, payload)))
+    has_subscribers: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
+    bus.listen(KEYS.driver_joint_states, lambda key, payload: has_subscribers.put((key, payload)))
     declared(bus)
     plain.put(KEYS.driver_joint_states, b"noise")
-    assert heard.get(timeout=PATIENCE) == (KEYS.driver_joint_states, b"noise")
+    assert has_subscribers.get(timeout=PATIENCE) == (KEYS.driver_joint_states, b"noise")

@@ -33,13 +33,13 @@ class Told:
 
     def scene(self, *objects: SceneObject) -> None:
         self.edits += 1
-        self.monitor.hear_scene("", Scene(revision=f"{self.edits}-5be0c1d2f3a4", objects=objects))
+        self.monitor.on_scene("", Scene(revision=f"{self.edits}-5be0c1d2f3a4", objects=objects))
 
-    def tell(self, name: str = "box", *, late: float = 0.01, now: float = NOW, **fields: Any) -> str | None:
+    def update_object(self, name: str = "box", *, late: float = 0.01, now: float = NOW, **fields: Any) -> str | None:
         """Tell a pose that was made `late` s ago; the field for which it is refused."""
         known = {"stamp": WALL + now - late, "position": (0.5, 0.0, 0.0), "speed": 0.2}
         message = ObjectPose.model_construct(**(known | fields))
-        self.moving.tell(name, message.model_dump_json().encode(), now, WALL + now)
+        self.moving.update_object(name, message.model_dump_json().encode(), now, WALL + now)
         return None if self.moving.refused is None else self.moving.refused.field
 
     def all(self) -> dict[str, Any]:
@@ -47,33 +47,33 @@ class Told:
 
 
 @pytest.fixture
-def told() -> Told:
+def reported() -> Told:
     return Told()
 
 
-def test_an_object_is_where_it_was_told_to_be_and_moves_on_from_when_it_was_seen_there(told: Told) -> None:
-    assert told.tell(linear=(0.1, 0.0, 0.0)) is None
-    mover = told.all()["box"]
+def test_an_object_is_where_it_was_told_to_be_and_moves_on_from_when_it_was_seen_there(reported: Told) -> None:
+    assert reported.update_object(linear=(0.1, 0.0, 0.0)) is None
+    mover = reported.all()["box"]
     assert mover.placed == BOX.model_copy(update={"position": (0.5, 0.0, 0.0)})
     moving = mover.moving(NOW, ahead=0.06)
     assert (moving.velocity, moving.speed) == ((0.1, 0.0, 0.0), 0.2)
     assert moving.time == pytest.approx(-(0.01 + AGREE + 0.06))
-    assert told.changes == 1
+    assert reported.changes == 1
 
 
-def test_an_object_that_turns_moves_as_fast_as_its_farthest_point(told: Told) -> None:
-    told.tell(angular=(0.0, 0.0, 2.0), speed=0.0)
-    assert told.all()["box"].speed == pytest.approx(2.0 * 0.1 * np.sqrt(3))
-    told.tell("ball", angular=(0.0, 0.0, 2.0), speed=0.0)
-    assert told.all()["ball"].speed == 0.0
+def test_an_object_that_turns_moves_as_fast_as_its_farthest_point(reported: Told) -> None:
+    reported.update_object(angular=(0.0, 0.0, 2.0), speed=0.0)
+    assert reported.all()["box"].speed == pytest.approx(2.0 * 0.1 * np.sqrt(3))
+    reported.update_object("ball", angular=(0.0, 0.0, 2.0), speed=0.0)
+    assert reported.all()["ball"].speed == 0.0
 
 
 @pytest.mark.parametrize(("fast", "apart"), [(0.4, 0.021), (60.0, 0.31)])
 def test_wherever_it_can_be_while_the_robot_stops_one_of_a_few_places_is_near(
-    told: Told, fast: float, apart: float
+    reported: Told, fast: float, apart: float
 ) -> None:
-    told.tell(linear=(fast, 0.0, 0.0), speed=0.1)
-    mover, rng = told.all()["box"], np.random.default_rng(0)
+    reported.update_object(linear=(fast, 0.0, 0.0), speed=0.1)
+    mover, rng = reported.all()["box"], np.random.default_rng(0)
     places = mover.swept(NOW, 0.5, 0.02)
     assert len(places) <= 50
     for time in rng.uniform(0.0, 0.5, 200):
@@ -87,16 +87,16 @@ def test_wherever_it_can_be_while_the_robot_stops_one_of_a_few_places_is_near(
     ("field", "value"),
     [("position", (0.0, 1e300, 0.0)), ("linear", (-1e6, 0.0, 0.0)), ("angular", (0.0, 0.0, 1e4)), ("speed", 1e300)],
 )
-def test_what_is_farther_or_faster_than_anything_is_refused_by_field(told: Told, field: str, value: Any) -> None:
-    assert told.tell() is None
-    assert told.tell(late=0.005, **{field: value}) == field
-    assert told.all()["box"].placed.position == (0.5, 0.0, 0.0)
+def test_what_is_farther_or_faster_than_anything_is_refused_by_field(reported: Told, field: str, value: Any) -> None:
+    assert reported.update_object() is None
+    assert reported.update_object(late=0.005, **{field: value}) == field
+    assert reported.all()["box"].placed.position == (0.5, 0.0, 0.0)
 
 
-def test_the_newest_counts_whatever_comes_later(told: Told) -> None:
-    told.tell(late=0.01)
-    assert told.tell(late=0.05, position=(0.9, 0.0, 0.0)) is None
-    assert told.all()["box"].placed.position == (0.5, 0.0, 0.0)
+def test_the_newest_counts_whatever_comes_later(reported: Told) -> None:
+    reported.update_object(late=0.01)
+    assert reported.update_object(late=0.05, position=(0.9, 0.0, 0.0)) is None
+    assert reported.all()["box"].placed.position == (0.5, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -111,37 +111,37 @@ def test_the_newest_counts_whatever_comes_later(told: Told) -> None:
     ],
 )
 def test_what_is_wrong_is_refused_by_its_field_and_changes_nothing(
-    told: Told, name: str, fields: dict[str, Any], field: str
+    reported: Told, name: str, fields: dict[str, Any], field: str
 ) -> None:
-    told.tell()
-    before = told.all()
-    assert told.tell(name, **fields) == field
-    assert told.all() == before
-    assert told.tell(late=0.0) == field  # it is told for a second
-    assert told.all()["box"].stamp > before["box"].stamp
-    assert told.tell(late=0.0, now=NOW + 1.1) is None
+    reported.update_object()
+    before = reported.all()
+    assert reported.update_object(name, **fields) == field
+    assert reported.all() == before
+    assert reported.update_object(late=0.0) == field  # it is told for a second
+    assert reported.all()["box"].stamp > before["box"].stamp
+    assert reported.update_object(late=0.0, now=NOW + 1.1) is None
 
 
-def test_an_object_without_news_grows_for_a_while_and_is_lost_then(told: Told) -> None:
-    told.tell(late=0.0)
-    mover = told.all()["box"]
+def test_an_object_without_news_grows_for_a_while_and_is_lost_then(reported: Told) -> None:
+    reported.update_object(late=0.0)
+    mover = reported.all()["box"]
     assert mover.age(NOW + 0.5) == pytest.approx(0.5 + AGREE)
-    assert told.moving.lost(NOW + 0.5) == ()
+    assert reported.moving.lost(NOW + 0.5) == ()
     assert mover.age(NOW + 60.0) == LOST
-    assert told.moving.lost(NOW + 60.0) == ("box",)
-    assert told.all()["box"] is mover
+    assert reported.moving.lost(NOW + 60.0) == ("box",)
+    assert reported.all()["box"] is mover
 
 
-def test_an_edit_of_the_object_places_it_anew_and_other_edits_do_not(told: Told) -> None:
-    told.tell()
-    told.scene(BOX.model_copy(), CELLS)
-    assert "box" in told.all()
-    told.scene(BOX.model_copy(update={"size": (0.1, 0.1, 0.1)}), CELLS)
-    assert told.all() == {}
+def test_an_edit_of_the_object_places_it_anew_and_other_edits_do_not(reported: Told) -> None:
+    reported.update_object()
+    reported.scene(BOX.model_copy(), CELLS)
+    assert "box" in reported.all()
+    reported.scene(BOX.model_copy(update={"size": (0.1, 0.1, 0.1)}), CELLS)
+    assert reported.all() == {}
 
 
-def test_a_mesh_that_is_not_there_is_refused(told: Told) -> None:
-    told.scene(Mesh(kind="mesh", name="part", position=(0.0, 0.0, 0.0), file="part.stl", sha256="0" * 64))
-    told.tell("part")
-    assert told.moving.refused is not None
-    assert told.moving.refused.code == "unavailable"
+def test_a_mesh_that_is_not_there_is_refused(reported: Told) -> None:
+    reported.scene(Mesh(kind="mesh", name="part", position=(0.0, 0.0, 0.0), file="part.stl", sha256="0" * 64))
+    reported.update_object("part")
+    assert reported.moving.refused is not None
+    assert reported.moving.refused.code == "unavailable"

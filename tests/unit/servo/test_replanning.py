@@ -77,7 +77,7 @@ class PanelContext:
         self.executor: Callable[[], None] = lambda: None
         self.measured = Standing()
         self.monitor = SceneMonitor(lambda: None)
-        self.monitor.hear_scene("", Scene(revision=SCENE))
+        self.monitor.on_scene("", Scene(revision=SCENE))
         self.moving = MovingObjects(self.monitor, Meshes(), lambda: None)
         self.lock = threading.Lock()
 
@@ -121,7 +121,7 @@ def replanner(panels: PanelContext, checker: Checker) -> Iterator[Replanner]:
     with Replanner(
         ROBOT, checker, panels.monitor, panels.moving, panels.measured, panels.ask, panels.replace, Metrics()
     ) as running:
-        running.hear_goal("", goal(0.2))
+        running.on_goal("", goal(0.2))
         yield running
 
 
@@ -173,7 +173,7 @@ def test_what_comes_too_late_is_planned_again_from_a_later_state_and_then_the_ro
     assert leads[-1] <= LONGEST
     panels.executor = lambda: None
     panels.measured.rests = True
-    replanner.hear_goal("", goal(0.5, held=True))
+    replanner.on_goal("", goal(0.5, held=True))
 
     def again() -> list[ReplaceTrajectory]:
         replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
@@ -202,7 +202,7 @@ def test_a_plan_that_is_not_free_in_a_newer_scene_is_not_followed(panels: PanelC
         middle = RobotModel.of(ROBOT).fk_tip(PATH.positions(np.array([PATH.duration / 2]))[0])[:3, 3]
         ball = Sphere(kind="sphere", name="ball", position=tuple(middle.tolist()), radius=0.1)
         newer = f"{int(SCENE.partition('-')[0]) + 1}-{SCENE.partition('-')[2]}"
-        panels.monitor.hear_scene("", Scene(revision=newer, objects=(ball,)))
+        panels.monitor.on_scene("", Scene(revision=newer, objects=(ball,)))
         return PLAN
 
     panels.planner = overtaken
@@ -213,10 +213,10 @@ def test_a_plan_that_is_not_free_in_a_newer_scene_is_not_followed(panels: PanelC
 
 def test_a_plan_that_is_not_free_of_what_moves_is_not_followed(panels: PanelContext, replanner: Replanner) -> None:
     ball = Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 9.0), radius=0.1)
-    panels.monitor.hear_scene("", Scene(revision=SCENE, objects=(ball,)))
+    panels.monitor.on_scene("", Scene(revision=SCENE, objects=(ball,)))
     middle = RobotModel.of(ROBOT).fk_tip(PATH.positions(np.array([PATH.duration / 2]))[0])[:3, 3]
     pose = ObjectPose(stamp=time.time(), position=tuple(middle.tolist()), speed=0.1)
-    panels.moving.tell("ball", encode(pose), time.monotonic(), time.time())
+    panels.moving.update_object("ball", encode(pose), time.monotonic(), time.time())
     replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
     eventually(lambda: len(panels.asked) > 1, "it was tried again")
     assert not panels.replaced
@@ -226,7 +226,7 @@ def test_a_goal_that_is_blocked_before_a_plan_could_take_over_is_not_planned_in_
     panels: PanelContext, replanner: Replanner
 ) -> None:
     panels.measured.rests = True
-    replanner.hear_goal("", goal(0.2, held=True))
+    replanner.on_goal("", goal(0.2, held=True))
     replanner.see(FOLLOWED, PATH, 0.2 * PATH.duration)
 
     def again() -> list[ReplaceTrajectory]:

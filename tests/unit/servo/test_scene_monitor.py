@@ -22,15 +22,15 @@ def monitor() -> SceneMonitor:
 def test_it_tells_every_change() -> None:
     calls: list[int] = []
     monitor = SceneMonitor(lambda: calls.append(1))
-    monitor.hear_scene("", scene(1, ball("a")))
-    monitor.hear_object(ball("b"), 0.0)
-    monitor.hear_object(ball("b"), 0.0)  # as it was
+    monitor.on_scene("", scene(1, ball("a")))
+    monitor.on_object(ball("b"), 0.0)
+    monitor.on_object(ball("b"), 0.0)  # as it was
     assert len(calls) == 2
 
 
 def test_an_object_counts_before_its_scene_has_come_and_not_for_long_where_none_comes(monitor: SceneMonitor) -> None:
-    monitor.hear_scene("", scene(1, ball("a")))
-    monitor.hear_object(ball("b"), 10.0)
+    monitor.on_scene("", scene(1, ball("a")))
+    monitor.on_object(ball("b"), 10.0)
     snapshot = monitor.snapshot(10.1)
     assert set(snapshot.objects) == {"a", "b"}
     assert snapshot.revision == scene(1).revision
@@ -39,7 +39,7 @@ def test_an_object_counts_before_its_scene_has_come_and_not_for_long_where_none_
 
 def test_a_scene_is_all_there_is_and_the_last_ones_are_remembered(monitor: SceneMonitor) -> None:
     for edits in range(REMEMBERED + 2):
-        monitor.hear_scene("", scene(edits, ball(f"ball{edits}")))
+        monitor.on_scene("", scene(edits, ball(f"ball{edits}")))
     assert set(monitor.snapshot(0.0).objects) == {f"ball{REMEMBERED + 1}"}
     assert monitor.at(scene(0).revision) is None
     remembered = monitor.at(scene(REMEMBERED).revision)
@@ -50,13 +50,13 @@ def test_a_scene_is_all_there_is_and_the_last_ones_are_remembered(monitor: Scene
 def test_what_was_known_still_counts_where_the_planner_begins_another_scene_until_that_is_edited(
     monitor: SceneMonitor,
 ) -> None:
-    monitor.hear_scene("", scene(7, ball("a"), ball("b")))
-    monitor.hear_scene("", scene(0, ball("b", 2.0), draw=1))
+    monitor.on_scene("", scene(7, ball("a"), ball("b")))
+    monitor.on_scene("", scene(0, ball("b", 2.0), draw=1))
     snapshot = monitor.snapshot(0.0)
     assert snapshot.lost
     assert dict(snapshot.objects) == {"a": ball("a"), "b": ball("b", 2.0)}
-    monitor.hear_scene("", scene(0, ball("b", 2.0), draw=1))  # told again, as after a link was cut
+    monitor.on_scene("", scene(0, ball("b", 2.0), draw=1))  # told again, as after a link was cut
     assert monitor.snapshot(0.0) == snapshot
-    monitor.hear_scene("", scene(1, ball("c"), draw=2))
+    monitor.on_scene("", scene(1, ball("c"), draw=2))
     assert not monitor.snapshot(0.0).lost
     assert set(monitor.snapshot(0.0).objects) == {"c"}

@@ -148,7 +148,7 @@ class DriverLink:
             self._held_up_since = at
         return at - self._held_up_since <= _CLOCK_PATIENCE
 
-    def heard(self, now: float) -> bool:
+    def is_reporting(self, now: float) -> bool:
         """Whether the driver is heard: its newest joints are fresh at `now`, on the monotonic clock.
 
         Otherwise it is sent only stops: anything else might be held up as long, and played then.
@@ -163,8 +163,8 @@ class DriverLink:
         """
         measured = self.measured()
         old = measured is None or time.monotonic() - measured.time > self.execution.joint_state_timeout
-        told = np.zeros_like(self.velocity_clamp) if measured is None or old else measured.velocity
-        return np.clip(told, -self.velocity_clamp, self.velocity_clamp)
+        reported = np.zeros_like(self.velocity_clamp) if measured is None or old else measured.velocity
+        return np.clip(reported, -self.velocity_clamp, self.velocity_clamp)
 
     def standing(self) -> bool:
         """Whether the robot stands, judged by its velocities and, because some drivers report none, by its positions."""

@@ -29,7 +29,7 @@ class JointSpeed(Streaming):
         self._sent: Array = np.zeros((0, len(link.joints)))
         self._before: Array = np.zeros(len(link.joints))
         self._leading_since: float | None = None
-        self._led = False
+        self._back_on_path = False
 
     def start(self, trajectory: TimedTrajectory, speed: float) -> None:
         """Begin at the start of `trajectory`, from rest."""
@@ -39,7 +39,7 @@ class JointSpeed(Streaming):
     def steer(self, trajectory: TimedTrajectory) -> None:
         """Continue along `trajectory`, whose end the robot has yet to reach."""
         super().steer(trajectory)
-        self._leading_since, self._led = None, False
+        self._leading_since, self._back_on_path = None, False
 
     def _send(self, ahead: RetimedTrajectory, now: float, played: int) -> bool:
         base = self._playing(played)
@@ -54,7 +54,7 @@ class JointSpeed(Streaming):
 
     def _stands(self) -> None:
         self._sent, self._before = self._sent[:0], np.zeros_like(self._before)
-        self._leading_since, self._led = None, False
+        self._leading_since, self._back_on_path = None, False
 
     def _playing(self, played: int) -> Array:
         """The velocity (J,) that the driver plays now; without points left, the driver is braking or has stopped the
@@ -71,7 +71,7 @@ class JointSpeed(Streaming):
         """The correction added to the velocities (N, J); it decays over the chunk as the error does."""
         error = self._error(now)
         self._lead(now, error)
-        if error is None or self._led or self._held():
+        if error is None or self._back_on_path or self._held():
             return np.zeros_like(ahead.points.velocity)
         gain = self.link.params.gain
         share = gain * (1.0 - gain * self._dt) ** np.arange(len(ahead))
@@ -99,10 +99,10 @@ class JointSpeed(Streaming):
             self._leading_since = now
         near = error is not None and bool(np.all(np.abs(error) <= ARRIVED))
         rests = measured is not None and bool(np.all(np.abs(measured.velocity) <= execution.stopped_velocity))
-        self._led = self._led or (near and rests) or now - self._leading_since > execution.settle_time
+        self._back_on_path = self._back_on_path or (near and rests) or now - self._leading_since > execution.settle_time
 
     def _arrived(self) -> bool:
-        return self._led
+        return self._back_on_path
 
     def _clamped(self, wanted: Array, base: Array) -> Array:
         """The velocities (N, J) closest to those wanted that the bounds allow for a robot coming from `base` (J,)."""

@@ -16,7 +16,7 @@ _WINDOW = 0.5
 """Window (s of the command) around the last place in which the robot is searched for on its path."""
 _OVERRUN = 0.3
 """Margin (s of path time) before and after the commanded braking within which the robot may have come to rest."""
-_UNTOLD = 2.0
+_UNREPORTED_POINTS = 2.0
 """For a driver that does not report the point it plays, braking begins this many points earlier. Its assumed point is
 wrong by two at most, and within its limits an accelerating robot may go back two points at once, from v to v - a dt,
 but not forward, to v + 2 a dt.
@@ -54,8 +54,8 @@ class JointTrajectory(DriverStrategy):
         self._sent_at = 0.0
         self._index = 0.0
         self._clock = 0.0
-        self._told = 0.0
-        self._told_at = 0.0
+        self._reported = 0.0
+        self._reported_at = 0.0
         self._gone_on = False
         self._braking = False
         self._unsent = False
@@ -100,20 +100,20 @@ class JointTrajectory(DriverStrategy):
             return
         if dt > CATCH_UP:
             self._back_at = now
-        heard = self.link.heard(now)
-        if not heard and now - self._back_at <= self.link.execution.joint_state_timeout:
+        is_reporting = self.link.is_reporting(now)
+        if not is_reporting and now - self._back_at <= self.link.execution.joint_state_timeout:
             return  # the executor stood still: the driver's messages from that time are still unread
-        if not heard or self._lost_at is not None:
+        if not is_reporting or self._lost_at is not None:
             self._brake_unheard(now)
             return
         if not self._unsent:
             self._clock = (now - self._sent_at) / command.dt
-            told = self._told_of(command)
-            self._gone_on, self._told = told > self._told, told
+            reported = self._reported_index(command)
+            self._gone_on, self._reported = reported > self._reported, reported
             if self._gone_on:
-                self._told_at = now
+                self._reported_at = now
             self._index = min(max(self._index, self._reached(command, dt)), command.last)
-            if self._ended_untold(command, now):
+            if self._ended_unreported(command, now):
                 self._index = command.last
                 self.link.stop()  # a driver with points left must not continue with them
         if self._stopping:
@@ -158,7 +158,7 @@ class JointTrajectory(DriverStrategy):
         self._stopping = self._unsent = False
         self._braking = True
         self.hold(now)
-        if self._trajectory is not None and measured is not None and self.link.heard(now):
+        if self._trajectory is not None and measured is not None and self.link.is_reporting(now):
             self._find(self._trajectory, measured, now - self._lost_at)
             self._lost_at = None if self.link.standing() else now
 
@@ -204,7 +204,7 @@ class JointTrajectory(DriverStrategy):
             if known is not None or self._waited < command.dt:
                 return known
         index = self._playing(command)
-        return index - _UNTOLD if self.link.params.state_topic is None else index
+        return index - _UNREPORTED_POINTS if self.link.params.state_topic is None else index
 
     def _resume(self, command: RetimedTrajectory, dt: float) -> None:
         """Play the rest of the path, from where the robot came to rest or is in its braking."""
@@ -251,7 +251,7 @@ class JointTrajectory(DriverStrategy):
         """
         encoding = _ENCODING * encoded / command.dt
         if self.link.params.state_topic is not None:
-            return self._told + 1.0 + int(encoding) if self._gone_on else None
+            return self._reported + 1.0 + int(encoding) if self._gone_on else None
         if self._late(command):
             return self._playing(command) + int(encoding)
         due = self._clock + encoding - _ENCODING * len(command) / command.dt
@@ -288,7 +288,7 @@ class JointTrajectory(DriverStrategy):
 
     def _play(self, follower: Follower) -> None:
         self._command = follower.ahead(self.link.params.point_dt)
-        self._index = self._clock = self._told = 0.0
+        self._index = self._clock = self._reported = 0.0
         self._unsent = True
         self._repacing = self._repacing and follower.target != self._speed
 
@@ -299,9 +299,9 @@ class JointTrajectory(DriverStrategy):
         if self.link.params.state_topic is None:
             window = max(_WINDOW, dt) / command.dt
             return self._nearest(self._index - window, min(self._index + window, self._clock))
-        return self._told
+        return self._reported
 
-    def _ended_untold(self, command: RetimedTrajectory, now: float) -> bool:
+    def _ended_unreported(self, command: RetimedTrajectory, now: float) -> bool:
         """Whether the robot rests at the end of its path although its driver has not reported it: progress messages may
         get lost.
 
@@ -311,13 +311,18 @@ class JointTrajectory(DriverStrategy):
         measured, execution = self.link.measured(), self.link.execution
         if measured is None or self._trajectory is None or self._braking or self._index == command.last:
             return False
-        if self._told <= 0.0 or self._clock < command.last or now - self._told_at < _SILENT or not self.link.standing():
+        if (
+            self._reported <= 0.0
+            or self._clock < command.last
+            or now - self._reported_at < _SILENT
+            or not self.link.standing()
+        ):
             return False
-        end, left = self._trajectory.end, command.points.position[int(self._told) :]
+        end, left = self._trajectory.end, command.points.position[int(self._reported) :]
         there = np.abs(measured.position - end) <= execution.goal_tolerance
         return bool(there.all() and np.all(np.abs(left - end) <= execution.path_tolerance))
 
-    def _told_of(self, command: RetimedTrajectory) -> float:
+    def _reported_index(self, command: RetimedTrajectory) -> float:
         """The index of the last point that the driver reported; 0 before the first."""
         fraction = None if self._sequence is None else self.link.fraction(self._sequence)
         return 0.0 if fraction is None else fraction * len(command) - 1.0

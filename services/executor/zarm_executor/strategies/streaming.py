@@ -122,7 +122,7 @@ class Streaming(DriverStrategy, Steerable):
             self._away = now, dt
         if self._away is not None and self._unheard(now, self._away[0]):
             return
-        if not self.link.heard(now):
+        if not self.link.is_reporting(now):
             self._brake_unheard(follower, now, dt)
             return
         if self._lost_at is not None:
@@ -135,7 +135,7 @@ class Streaming(DriverStrategy, Steerable):
             else:
                 follower.advance(dt)
             if self._wanted == 0.0 and not follower.settled and self.link.standing():
-                follower = self._halted(follower)
+                follower = self._stopped_follower(follower)
         self._reference.note(now, follower)
         self._expected = self._reference.at(now - self._delay)
         begin = self._begin(now)
@@ -192,7 +192,7 @@ class Streaming(DriverStrategy, Steerable):
         """
         self._hold_once_played(now)
         standing = self.link.standing()
-        follower = self._halted(follower, ahead=now - (self._sent_at or now))
+        follower = self._stopped_follower(follower, ahead=now - (self._sent_at or now))
         self._expected = Commanded(now, follower.time, 0.0 if standing else 1.0, follower.position)
         if standing:
             self._lost_at, self._over = None, self._wanted == 0.0
@@ -233,7 +233,7 @@ class Streaming(DriverStrategy, Steerable):
             follower.advance(TICK)
         return follower
 
-    def _halted(self, follower: Follower, ahead: float = 0.0) -> Follower:
+    def _stopped_follower(self, follower: Follower, ahead: float = 0.0) -> Follower:
         """A robot at rest must not start to move in order to brake: hold the motion where the robot stands.
 
         The robot may be up to `ahead` s of path time beyond the motion.

@@ -18,7 +18,7 @@ class MovedObjects:
     def __init__(self, scene: Callable[[], Scene]) -> None:
         self._scene = scene
         self._lock = threading.Lock()
-        self._told: dict[str, tuple[SceneObject, SceneObject, float]] = {}
+        self._poses: dict[str, tuple[SceneObject, SceneObject, float]] = {}
         self._placed: tuple[tuple[SceneObject, ...], tuple[SceneObject, ...]] | None = None
 
     def hear(self, key: str, message: ObjectPose) -> None:
@@ -31,17 +31,17 @@ class MovedObjects:
         if isinstance(item, Sphere):
             del pose["orientation"]
         with self._lock:
-            before = self._told.get(name)
+            before = self._poses.get(name)
             if before is None or before[0] is not item or message.stamp > before[2]:
-                self._told[name] = item, item.model_copy(update=pose), message.stamp
+                self._poses[name] = item, item.model_copy(update=pose), message.stamp
                 self._placed = None
 
     def objects(self, scene: Scene) -> tuple[SceneObject, ...]:
         """All objects of the scene at their current poses: the same tuple as long as nothing has changed."""
         with self._lock:
             if self._placed is None or self._placed[0] is not scene.objects:
-                known = {item.name: item for item in scene.objects} if self._told else {}
-                self._told = {name: one for name, one in self._told.items() if known.get(name) is one[0]}
+                known = {item.name: item for item in scene.objects} if self._poses else {}
+                self._poses = {name: one for name, one in self._poses.items() if known.get(name) is one[0]}
                 self._placed = scene.objects, self._where_they_are(scene)
             return self._placed[1]
 
@@ -51,8 +51,8 @@ class MovedObjects:
             return self._where_they_are(scene)
 
     def _where_they_are(self, scene: Scene) -> tuple[SceneObject, ...]:
-        told = self._told
-        if not told:
+        poses = self._poses
+        if not poses:
             return scene.objects
-        known = ((item, told.get(item.name)) for item in scene.objects)
+        known = ((item, poses.get(item.name)) for item in scene.objects)
         return tuple(item if one is None or one[0] is not item else one[1] for item, one in known)

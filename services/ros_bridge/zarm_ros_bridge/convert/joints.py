@@ -71,15 +71,15 @@ def driver_joint_state(message: RosJointState, unnamed: Sequence[str], joints: S
     for field, values in (("position", position), ("velocity", velocity)):
         if len(values) != len(names):
             raise InvalidRequest(f"{len(values)} values for {len(names)} joints", field=field)
-    told = sorted(joints, key=places.__getitem__)
-    if not all(math.isfinite(position[places[joint]]) for joint in told):
+    reported = sorted(joints, key=places.__getitem__)
+    if not all(math.isfinite(position[places[joint]]) for joint in reported):
         raise InvalidRequest("a position is not finite; the driver must tell where each joint is", field="position")
     stamp = message.header.stamp
     return JointState(
         stamp=stamp.sec + stamp.nanosec * 1e-9 if stamp.sec or stamp.nanosec else time.time(),
-        joint_names=tuple(told),
-        position=tuple(position[places[joint]] for joint in told),
-        velocity=tuple(speed if math.isfinite(speed := velocity[places[joint]]) else 0.0 for joint in told),
+        joint_names=tuple(reported),
+        position=tuple(position[places[joint]] for joint in reported),
+        velocity=tuple(speed if math.isfinite(speed := velocity[places[joint]]) else 0.0 for joint in reported),
     )
 
 

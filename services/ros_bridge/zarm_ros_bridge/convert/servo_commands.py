@@ -80,15 +80,15 @@ def _by_joint(names: Sequence[str], speeds: Sequence[float], joints: Sequence[st
     names = names or joints
     if len(speeds) != len(names):
         raise InvalidRequest(f"{len(speeds)} speeds for {len(names)} joints; give one for each", field=field)
-    told = {
+    reported = {
         known_as(name, joints): finite(speed, f"{field}[{i}]")
         for i, (name, speed) in enumerate(zip(names, speeds, strict=True))
     }
-    if unknown := set(told) - set(joints):
+    if unknown := set(reported) - set(joints):
         raise InvalidRequest(
             f"there is no joint {', '.join(sorted(unknown))}; this robot has {', '.join(joints)}", field=field
         )
-    return tuple(told.get(joint, 0.0) for joint in joints)
+    return tuple(reported.get(joint, 0.0) for joint in joints)
 
 
 def _frame(frame_id: str, frames: Mapping[str, str]) -> str:

@@ -35,13 +35,13 @@ class GenerationB(Generation):
         self, kind: type[Any], state: str, progress: float, joint_command: Any, convergence: Convergence | None = None
     ) -> Any:
         """Without a `convergence`, as for every planner without a closed loop, the errors stay 0 and `on_target` false."""
-        told = convergence or Convergence()
+        reported = convergence or Convergence()
         return kind(
             state=_STATES.get(state, "EXECUTING"),
             step_progression=progress,
             joint_command=joint_command,
-            position_error=told.position_error,
-            orientation_error=told.orientation_error,
-            on_target=told.on_target,
-            hold_count=told.hold_count,
+            position_error=reported.position_error,
+            orientation_error=reported.orientation_error,
+            on_target=reported.on_target,
+            hold_count=reported.hold_count,
         )
