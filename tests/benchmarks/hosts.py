@@ -111,14 +111,16 @@ def main() -> None:
 def on(host: Host, work: Callable[..., object], *arguments: object) -> object:
     """What `work` finds, as a process on a host."""
     here, there = multiprocessing.Pipe()
-    process = multiprocessing.get_context("spawn").Process(target=tell, args=(there, host.namespace, work, *arguments))
+    process = multiprocessing.get_context("spawn").Process(
+        target=update_object, args=(there, host.namespace, work, *arguments)
+    )
     process.start()
     found = here.recv()
     process.join()
     return found
 
 
-def tell(pipe: Connection, namespace: str, work: Callable[..., object], *arguments: object) -> None:
+def update_object(pipe: Connection, namespace: str, work: Callable[..., object], *arguments: object) -> None:
     """Run in that process."""
     enter(namespace)
     pipe.send(work(*arguments))

@@ -100,8 +100,8 @@ def main() -> None:
             for arm in arms:
                 arm.planner.wait_ready(bus, arm.keys)
                 arm.executor.wait_ready(bus, arm.keys)
-            with listening(endpoint) as hear:
-                results.append(measure(arms, bus, options.seconds, router, hear))
+            with listening(endpoint) as receive:
+                results.append(measure(arms, bus, options.seconds, router, receive))
         services.close()
         for arm in arms:
             read_ticks(arm, results)
@@ -124,17 +124,17 @@ def measure(
     bus: Bus,
     seconds: float,
     router: psutil.Process,
-    hear: Callable[[], list[tuple[float, str, bytes]]],
+    receive: Callable[[], list[tuple[float, str, bytes]]],
 ) -> Result:
     """One line of the table."""
     goals: dict[str, GoalState] = {}
     bus.subscribe(Keys.goal("*"), lambda _, goal: goals.update({goal.goal_id: goal}))
     names = ("executor", "planner", "router")
-    hear()
+    receive()
     reported: dict[str, Array] = {}
 
     def all_told() -> bool:
-        reported.update({key.split("/")[1]: np.array(json.loads(payload)["position"]) for _, key, payload in hear()})
+        reported.update({key.split("/")[1]: np.array(json.loads(payload)["position"]) for _, key, payload in receive()})
         return len(reported) == len(arms)
 
     eventually(all_told, "all joints are told")
@@ -159,14 +159,14 @@ def measure(
             return took, accepted.goal_id
 
         executed, moving = each(execute)
-        hear()
+        receive()
         began, before, everything = time.monotonic(), cpu_times(arms, router), psutil.cpu_times()
         asked = []
         while time.monotonic() - began < seconds:
             for arm in arms:
                 asked.append(timed(lambda arm=arm: bus.read(arm.keys.executor_state, timeout=PATIENCE))[0])  # type: ignore[misc]
                 time.sleep(0.02 / len(arms))
-        heard = hear()
+        heard = receive()
         ended, after, everything_after = time.monotonic(), cpu_times(arms, router), psutil.cpu_times()
         cancelled = []
         for arm, goal_id in zip(arms, moving, strict=True):

@@ -140,7 +140,7 @@ def measure(case: Case, seconds: float, bus: Bus, endpoint: str, folder: Path, p
                 prefer(driver)
         executor = stack.enter_context(timed_executor(case, endpoint, state, notes))
         executor.wait_ready(bus, KEYS)
-        hear = stack.enter_context(listening(endpoint, case.realtime))
+        receive = stack.enter_context(listening(endpoint, case.realtime))
         plans: list[float] = []
         if case.planner:
             bus.subscribe(KEYS.plans, lambda *_: plans.append(time.monotonic()))
@@ -153,7 +153,7 @@ def measure(case: Case, seconds: float, bus: Bus, endpoint: str, folder: Path, p
         time.sleep(seconds)
         ended, after, planned_after = time.monotonic(), cpu_time(executor), cpu_time(planner)
         mode = bus.read(KEYS.executor_state, timeout=PATIENCE).mode
-        heard = hear()
+        heard = receive()
     written = np.load(notes)
     deadline, start, work = written["ticks"].T
     inside = (deadline >= began) & (deadline < ended)

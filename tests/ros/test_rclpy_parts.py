@@ -53,7 +53,7 @@ def test_messages_are_taken_of_several_topics_until_the_end_also_after_a_callbac
     heard: list[str] = []
     enough = threading.Event()
 
-    def hear(message: String) -> None:
+    def receive(message: String) -> None:
         heard.append(message.data)
         if len(heard) == 1:
             raise ValueError("the first")
@@ -61,7 +61,7 @@ def test_messages_are_taken_of_several_topics_until_the_end_also_after_a_callbac
             enough.set()
 
     for topic in ("/a", "/b"):
-        listener.create_subscription(String, topic, hear, 10)
+        listener.create_subscription(String, topic, receive, 10)
     reception = Reception(listener)
 
     def run() -> None:

@@ -44,7 +44,7 @@ def test_a_callback_that_raises_is_logged_and_the_next_request_is_answered(
 ) -> None:
     heard: list[bool] = []
 
-    def hear(message: Bool) -> None:
+    def receive(message: Bool) -> None:
         heard.append(message.data)
         raise ValueError("a listener fails")
 
@@ -54,7 +54,7 @@ def test_a_callback_that_raises_is_logged_and_the_next_request_is_answered(
     with Ros("fragile", workers=2) as ros:
         ros.serve(Trigger, "~/fail", fail)
         ros.serve(Trigger, "~/work", lambda _, response: response)
-        ros.listen(Bool, "told", hear, 10)
+        ros.listen(Bool, "told", receive, 10)
         ros.spin()
         failing, working = (node.create_client(Trigger, f"/fragile/{name}") for name in ("fail", "work"))
         assert failing.wait_for_service(PATIENCE)

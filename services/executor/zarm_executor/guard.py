@@ -76,7 +76,7 @@ class Guard:
         self._newest: Authority | None = None
         self._heard_at = self._confirmed_at = -math.inf
 
-    def hear(self, authority: Authority, now: float) -> bool:
+    def receive(self, authority: Authority, now: float) -> bool:
         """Note an authority; returns whether it is newer than the last one."""
         before = self._newest
         if before is not None and before.servo == authority.servo and authority.sequence <= before.sequence:

@@ -193,7 +193,7 @@ class Machine:
                 motion.replace(trajectory, start, scene, until)
             return motion.goal
 
-    def hear(self, authority: Authority, now: float) -> None:
+    def receive(self, authority: Authority, now: float) -> None:
         """Take an authority of the servo, received at `now` on the monotonic clock."""
         with self._lock:
             motion = None if authority.goal_id is None else self._motion_of(authority.goal_id)
@@ -202,7 +202,7 @@ class Machine:
         if trajectory is not None:  # computed outside the lock, so that no tick waits for it
             limit = self._guard.limit(trajectory, authority.until, authority.obstruction)
         with self._lock:
-            newer = self._guard.hear(authority, now)
+            newer = self._guard.receive(authority, now)
             if newer and motion is not None and motion is self._motion and motion.goal.trajectory is trajectory:
                 motion.permit(authority, limit, self.scene)
             self._authority_changed.notify_all()

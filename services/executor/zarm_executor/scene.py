@@ -22,7 +22,7 @@ class PresentScene:
         self._ask = ask
         self._telling = threading.Lock()
 
-    def hear(self, _key: str, scene: SceneEdited) -> None:
+    def receive(self, _key: str, scene: SceneEdited) -> None:
         """Note what the planner publishes."""
         with self._telling:
             self._machine.scene = scene.revision

@@ -145,8 +145,8 @@ def start(service: Service) -> Iterator[None]:
                 Loop("ghost", GHOST_PERIOD, ghost.play),
                 Loop("reporter", REPORTER_PERIOD, reporter.look),
             ):
-                bus.watch(keys.scene_revision, present.hear)
-                command_bus.subscribe(keys.authority, lambda _, authority: machine.hear(authority, time.monotonic()))
+                bus.watch(keys.scene_revision, present.receive)
+                command_bus.subscribe(keys.authority, lambda _, authority: machine.receive(authority, time.monotonic()))
 
                 def receive(key: str, plan: Plan) -> None:
                     plans.add(key, plan)

@@ -107,7 +107,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
 
     try:
         _serve_scene(service, store.scene, handlers.edit, store.notes)
-        bus.subscribe(keys.object_pose("*"), handlers.moved.hear)
+        bus.subscribe(keys.object_pose("*"), handlers.moved.receive)
         bus.serve(keys.settings, change_settings, workers=1)
         bus.latched(keys.planners).set(handlers.planners())
         bus.serve(keys.plan_cancel, handlers.cancel)

@@ -42,7 +42,7 @@ class StreamClock:
             if self._rate > 0.0:
                 self._rate = scale
 
-    def hear(self, goal: GoalState, now: float) -> None:
+    def receive(self, goal: GoalState, now: float) -> None:
         """Take a state of the stream from the executor."""
         with self._lock:
             self._advance(now)

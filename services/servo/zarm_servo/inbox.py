@@ -63,7 +63,7 @@ class Inbox:
                 return None, None
             return self._target, now - self._arrived + self._under_way
 
-    def hear(self, message: m.ServoTarget, now: float) -> None:
+    def receive(self, message: m.ServoTarget, now: float) -> None:
         """Take a target, unless it is refused."""
         with self._lock:
             try:

@@ -98,7 +98,7 @@ class MovingObjects:
         """Whether any object moves."""
         return bool(self._movers)
 
-    def hear(self, key: str, payload: bytes) -> None:
+    def receive(self, key: str, payload: bytes) -> None:
         """Take a message on the key of an object's pose."""
         self.update_object(key.split("/")[-2], payload, time.monotonic(), time.time())
 

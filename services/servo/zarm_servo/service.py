@@ -114,7 +114,7 @@ def start(service: Service) -> Iterator[None]:
         with guard, replanner:
             bus.serve(keys.servo_start, sessions.start)
             bus.serve(keys.servo_end, sessions.end)
-            bus.listen(keys.object_pose("*"), guard.moving.hear)
+            bus.listen(keys.object_pose("*"), guard.moving.receive)
             command_bus.listen(keys.servo_target, sessions.on_target)
             service.ready()
             try:

@@ -203,7 +203,7 @@ class Session:
     def on_goal(self, goal: GoalState) -> None:
         """Take a state of the stream from the executor."""
         self._heard_at = time.monotonic()
-        self._clock.hear(goal, self._heard_at)
+        self._clock.receive(goal, self._heard_at)
         self._goal = goal
         self._held = goal.status == "paused"
         if goal.status != "accepted":

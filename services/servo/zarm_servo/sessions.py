@@ -123,7 +123,7 @@ class Sessions:
             session.inbox.refuse(error.problem, now)
             return
         if message.goal_id == session.goal_id:
-            session.inbox.hear(message, now)
+            session.inbox.receive(message, now)
 
     def on_goal(self, _key: str, goal: GoalState) -> None:
         """Take a goal state from the executor; the executor state that follows it may still be on its way."""

@@ -180,7 +180,7 @@ class DriverBench:
         self.arm.step(stalled=self.stalled)
         self.truth.append((self.arm.position, self.arm.velocity))
         self.feeds.append(self.arm.feed.copy())
-        self._expiry.told(now, now)
+        self._expiry.report(now, now)
         if not self.silent and passing:
             order = [JOINTS.index(name) for name in TOLD]
             reported = self.arm.position - whole_turns(self.arm.position, self._wraps)

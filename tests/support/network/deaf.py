@@ -27,7 +27,7 @@ def route(endpoint: str) -> None:
         threading.Event().wait()
 
 
-def hear(endpoint: str, heard: Synchronized[int]) -> None:
+def receive(endpoint: str, heard: Synchronized[int]) -> None:
     """A client that subscribes to everything."""
 
     def count(_: zenoh.Sample) -> None:
@@ -65,7 +65,7 @@ def deaf_client(endpoint: str) -> Iterator[Callable[[], None]]:
     """
     heard, published = SPAWN.Value("q", 0), SPAWN.Value("q", 0)
     with ExitStack() as stack:
-        pid = stack.enter_context(beside(hear, endpoint, heard))
+        pid = stack.enter_context(beside(receive, endpoint, heard))
         eventually(lambda: heard.value > 0, "the client hears what is published")
 
         def turn_deaf() -> None:

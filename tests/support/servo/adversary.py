@@ -172,7 +172,7 @@ class _Run:
         reported = GoalTrajectory(goal_id="goal-1", number=1, start=0.0, trajectory=message, scene_revision=SCENE)
         self._guard.on_trajectory("", reported)
         self._guard._goals._running = "goal-1"
-        self._guard._look()
+        self._guard._check()
         while self._mail:
             heapq.heappop(self._mail)[2]()
         self._bench.machine.start(goal, arrival())
@@ -184,7 +184,7 @@ class _Run:
         )  # fmt: skip
 
     def _hear(self, said: Any) -> None:
-        self._bench.machine.hear(said, self._time.now)
+        self._bench.machine.receive(said, self._time.now)
 
     def _stream(self, chunk: Any) -> None:
         machine = self._bench.machine
@@ -252,13 +252,13 @@ class _Run:
         )
         payload = encode(message)
 
-        def tell() -> None:
-            self._guard.moving.tell("box", payload, self._time.now, _UNIX + self._time.now)
+        def update_object() -> None:
+            self._guard.moving.update_object("box", payload, self._time.now, _UNIX + self._time.now)
 
         if at_once:
-            tell()
+            update_object()
         else:
-            self._post(tell, self._delay)
+            self._post(update_object, self._delay)
 
     # -- time --
 
@@ -325,13 +325,13 @@ class _Run:
         session = self._session
         if session is None:
             if step % _LOOK == 0:
-                self._guard._look()
+                self._guard._check()
         elif step % _CYCLE == 0:
             if step % 10 == 0:
                 target = JointTargetMessage(kind="joints", position=tuple(self._goal.tolist()))
                 message = ServoTarget(
                     goal_id="servo-1", sequence=next(self._sequence), stamp=self._time.now, target=target
                 )
-                session.inbox.hear(message, self._time.now)
+                session.inbox.receive(message, self._time.now)
             session._cycle(self._time.now)
             session._scene.catch_up()

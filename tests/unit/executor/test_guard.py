@@ -48,7 +48,7 @@ def bench() -> Bench:
 def guarded_for(bench: Bench, seconds: float, said: Authority) -> None:
     """Turn the clock, and have the servo say the same every 0.1 s."""
     for _ in range(round(seconds / 0.1)):
-        bench.machine.hear(said.model_copy(update={"sequence": next(SEQUENCE)}), bench.now)
+        bench.machine.receive(said.model_copy(update={"sequence": next(SEQUENCE)}), bench.now)
         bench.run(0.1)
 
 
@@ -65,7 +65,7 @@ def test_it_rests_before_the_end_of_its_authority_and_goes_on_when_that_is_exten
     hold = bench.last().hold
     assert hold is not None
     assert hold.obstruction == Obstruction(**BOX, time=until + 0.1)
-    bench.machine.hear(authority(), bench.now)
+    bench.machine.receive(authority(), bench.now)
     bench.until("idle")
     assert bench.last().status == "succeeded"
     assert bench.last().hold is None
@@ -111,9 +111,9 @@ def test_what_a_servo_says_of_another_scene_holds_a_goal_back_but_does_not_let_i
 def test_an_old_message_and_one_about_another_goal_change_nothing(bench: Bench) -> None:
     trajectory = bench.execute(scene=SCENE)
     old = authority(trajectory.duration / 4)
-    bench.machine.hear(authority(), bench.now)
-    bench.machine.hear(old, bench.now)
-    bench.machine.hear(authority(trajectory.duration / 4, goal_id="goal-7"), bench.now)
+    bench.machine.receive(authority(), bench.now)
+    bench.machine.receive(old, bench.now)
+    bench.machine.receive(authority(trajectory.duration / 4, goal_id="goal-7"), bench.now)
     bench.until("idle")
     assert bench.last().status == "succeeded"
 
@@ -141,7 +141,7 @@ def test_a_goal_is_resumed_in_another_scene_where_the_servo_has_checked_it_in_th
     with pytest.raises(ExecutionRefused, match="cancel it, and plan again"):
         bench.machine.resume(arrival(), other)
     now = bench.arm.follower.time
-    bench.machine.hear(authority(now + 0.01, scene=other), bench.now)
+    bench.machine.receive(authority(now + 0.01, scene=other), bench.now)
     bench.machine.resume(arrival(), other)
     guarded_for(bench, 1.0, authority(now + 0.01, scene=other))
     assert bench.arm.follower.time == now

@@ -46,7 +46,7 @@ def blocked(bench: Bench, until: float, trajectory: int = 1) -> None:
         until=until,
         obstruction=BOX,
     )
-    bench.machine.hear(said, bench.now)
+    bench.machine.receive(said, bench.now)
 
 
 @pytest.mark.parametrize("speed", [1.0, 0.4])
@@ -111,7 +111,7 @@ def test_a_new_trajectory_is_followed_only_as_far_as_it_was_checked_until_the_se
     assert bench.arm.follower.settled
     assert bench.arm.follower.time < at + 1.0
     free = Authority(servo="servo", sequence=1, goal_id="goal-1", trajectory=2, scene_revision=SCENE)
-    bench.machine.hear(free, bench.now)
+    bench.machine.receive(free, bench.now)
     bench.run(6.0)
     assert bench.machine.changes[-1].status == "succeeded"
 

@@ -40,7 +40,7 @@ def edited(revision: str) -> SceneEdited:
 @pytest.mark.parametrize("answers", [True, False])
 def test_what_was_verified_in_any_but_the_present_scene_is_stale(other: str, answers: bool) -> None:
     present = PresentScene(Bench().machine, answering(SCENE) if answers else unanswered)
-    present.hear("", edited(SCENE))
+    present.receive("", edited(SCENE))
     assert present.demand("p-1", SCENE) == SCENE
     with pytest.raises(ExecutionRefused, match=f"p-1 was verified in revision {other} .* at {SCENE} now") as refusal:
         present.demand("p-1", other)
@@ -60,7 +60,7 @@ def test_a_claim_that_nobody_can_look_at_is_refused() -> None:
 def test_what_the_planner_answers_goes_before_what_it_published() -> None:
     bench = Bench()
     present = PresentScene(bench.machine, answering(NEXT))
-    present.hear("", edited(SCENE))
+    present.receive("", edited(SCENE))
     assert present.look() == NEXT
     assert bench.machine.scene == NEXT
 
@@ -69,7 +69,7 @@ def test_a_publication_that_comes_while_the_planner_answers_is_not_undone() -> N
     bench = Bench()
 
     def answer() -> SceneEdited:
-        present.hear("", edited(NEXT))
+        present.receive("", edited(NEXT))
         return edited(SCENE)
 
     present = PresentScene(bench.machine, answer)

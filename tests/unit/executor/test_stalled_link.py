@@ -77,8 +77,8 @@ def command(based_on: float, expires_after: float = 0.1) -> DriverCommand:
 
 def test_a_command_may_be_begun_until_it_expires_and_a_stop_always() -> None:
     expiry = Expiry()
-    expiry.reported(1000.0, 5.0)
-    expiry.reported(1000.01, 5.01)
+    expiry.report(1000.0, 5.0)
+    expiry.report(1000.01, 5.01)
     assert expiry.in_time(command(1000.0), 5.1)
     assert not expiry.in_time(command(1000.0), 5.101)
     assert expiry.in_time(command(1000.005), 5.1), "a stamp of another's counts as the one before it"
@@ -91,7 +91,7 @@ def test_a_command_may_be_begun_until_it_expires_and_a_stop_always() -> None:
 def test_a_step_of_the_drivers_clock_makes_nothing_late() -> None:
     for step in (-3600.0, 3600.0):
         expiry = Expiry()
-        expiry.reported(10000.0, 5.0)
-        expiry.reported(10000.0 + step, 5.01)
+        expiry.report(10000.0, 5.0)
+        expiry.report(10000.0 + step, 5.01)
         assert expiry.in_time(command(10000.0 + step), 5.1)
         assert not expiry.in_time(command(10000.0 + step), 5.2)

@@ -180,7 +180,7 @@ def test_it_rests_before_the_end_of_its_authority_and_goes_on_to_its_end_when_th
     path = bench.execute()
     until = share * path.duration
     for sequence in range(1, round((path.duration + 2.0) / 0.1)):
-        bench.machine.hear(Authority(servo="servo", sequence=sequence, goal_id="goal", until=until), bench.now)
+        bench.machine.receive(Authority(servo="servo", sequence=sequence, goal_id="goal", until=until), bench.now)
         bench.run(0.1)
     assert bench.machine.state().mode == "running"
     assert bench.last().hold is not None
@@ -189,7 +189,7 @@ def test_it_rests_before_the_end_of_its_authority_and_goes_on_to_its_end_when_th
     assert min(float(np.abs(bench.positions[-1] - q).max()) for q in way) < (0.05 if itself else 0.005)
     assert np.all(np.abs(bench.positions[-1] - path.at(until)[0]) < 0.25)
     assert bench.rests()
-    bench.machine.hear(Authority(servo="servo", sequence=1000, goal_id="goal"), bench.now)
+    bench.machine.receive(Authority(servo="servo", sequence=1000, goal_id="goal"), bench.now)
     bench.until("idle")
     assert bench.last().status == "succeeded"
     np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.01)
@@ -200,7 +200,7 @@ def test_it_rests_before_the_end_of_its_authority_and_goes_on_to_its_end_when_th
 def test_a_goal_that_reaches_its_end_where_it_could_not_stop_any_more_is_over(bench: DriverBench) -> None:
     path = bench.execute(timed=trapezoid)  # which brakes to its end at the limits
     bench.run(path.duration - 0.2)
-    bench.machine.hear(Authority(servo="servo", sequence=1, goal_id="goal", until=0.5 * path.duration), bench.now)
+    bench.machine.receive(Authority(servo="servo", sequence=1, goal_id="goal", until=0.5 * path.duration), bench.now)
     bench.until("idle", patience=4.0)
     assert bench.last().status == "succeeded"
     holds = [state.hold is not None for state in bench.machine.changes]

@@ -46,7 +46,7 @@ def modes_of(seed: int) -> list[RobotMode]:
     def held() -> None:
         if (goal := machine.goal_state()) is not None:
             until = bench.arm.follower.time + 0.1
-            machine.hear(
+            machine.receive(
                 Authority(
                     servo="servo",
                     sequence=next(authorities),

@@ -19,10 +19,10 @@ def test_an_object_is_where_the_newest_pose_has_it_until_it_is_edited() -> None:
     scene = SCENE
     moved = MovedObjects(lambda: scene)
     assert moved.objects(scene) is scene.objects
-    moved.hear(KEY.format("box"), pose(2.0, 0.5))
-    moved.hear(KEY.format("box"), pose(1.0, 0.7))
-    moved.hear(KEY.format("ball"), pose(1.0, 0.3))
-    moved.hear(KEY.format("chair"), pose(1.0, 0.3))
+    moved.receive(KEY.format("box"), pose(2.0, 0.5))
+    moved.receive(KEY.format("box"), pose(1.0, 0.7))
+    moved.receive(KEY.format("ball"), pose(1.0, 0.3))
+    moved.receive(KEY.format("chair"), pose(1.0, 0.3))
     placed = moved.objects(scene)
     assert [item.position[0] for item in placed] == [0.5, 0.3]
     assert moved.objects(scene) is placed

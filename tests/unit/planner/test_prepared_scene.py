@@ -109,7 +109,7 @@ def test_what_is_put_down_is_ready_too(planner: Handlers, made: list[int]) -> No
 def test_of_a_scene_only_what_changed_is_built_anew(planner: Handlers, split: list[int]) -> None:
     planner.edit(SceneEdit(edit=EDITS["add"]))
     assert split == [2]  # the two boxes, not the cloud
-    planner.moved.hear(
+    planner.moved.receive(
         "zarm/small_arm/scene/object/box/pose", ObjectPose(stamp=1.0, position=(0.5, 0.0, 0.5), speed=0.0)
     )
     nearest(planner)
@@ -118,7 +118,7 @@ def test_of_a_scene_only_what_changed_is_built_anew(planner: Handlers, split: li
 
 def test_a_moved_object_is_where_it_was_told_to_be_after_another_edit_too(planner: Handlers, made: list[int]) -> None:
     far = nearest(planner)
-    planner.moved.hear(
+    planner.moved.receive(
         "zarm/small_arm/scene/object/box/pose", ObjectPose(stamp=1.0, position=(0.1, 0.0, 0.6), speed=0.0)
     )
     near = nearest(planner)
@@ -131,8 +131,8 @@ def test_a_moved_object_is_where_it_was_told_to_be_after_another_edit_too(planne
 
 def test_each_request_gets_the_scene_with_its_own_margins(planner: Handlers) -> None:
     asked = [(0.01, 0.0), (0.02, 0.0), (0.02, 0.03), (0.01, 0.0)]
-    found = [planner._look(*margins) for margins in asked]
+    found = [planner._planning_scene(*margins) for margins in asked]
     assert [(scene.world.margin, scene.self_margin) for scene in found] == asked
     assert [float(scene.world.arrays.margin) for scene in found] == [margin for margin, _ in asked]
     assert [bool(scene.model.arrays.apart.any()) for scene in found] == [False, False, True, False]
-    assert planner._look(*asked[-1]) is found[-1]
+    assert planner._planning_scene(*asked[-1]) is found[-1]

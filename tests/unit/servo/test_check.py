@@ -60,7 +60,7 @@ def test_links_that_pass_one_another_closely_as_verified_do_not_hold_the_robot_w
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("zarm_servo.check.CONTACT", 0.05)  # the M1013 has 16 mm at home
-    monkeypatch.setattr("zarm_geometry.situation._LEAST_ROOM", 0.05)  # and is to keep it, though it never can
+    monkeypatch.setattr("zarm_geometry.situation._LEAST_KEPT", 0.05)  # and is to keep it, though it never can
     checker = Checker(MODEL, Meshes())
     far = POST.model_copy(update={"position": (-1.5, 0.0, 0.0)})
     assert checker.validity(WAY, 0.0, seen(far), EMPTY).until is None

@@ -17,21 +17,21 @@ def goal(time: float, status: GoalStatus = "running") -> GoalState:
 def test_it_runs_with_the_stream_slower_under_a_lower_speed_and_not_while_the_goal_is_held() -> None:
     clock = StreamClock(0.0)
     assert clock.time(5.0) == 0.0
-    clock.hear(goal(0.0), 5.0)
+    clock.receive(goal(0.0), 5.0)
     assert clock.time(5.38) == pytest.approx(0.4)
     clock.set_speed(0.5, 5.38)
     assert clock.time(5.78) == pytest.approx(0.6)
-    clock.hear(goal(0.6, "stopping"), 5.78)
+    clock.receive(goal(0.6, "stopping"), 5.78)
     assert clock.time(9.0) == pytest.approx(0.6)
 
 
 def test_it_is_put_right_by_what_is_told_and_knows_how_far_the_robot_is_behind() -> None:
     clock = StreamClock(0.2)
-    clock.hear(goal(0.0), 5.0)
-    clock.hear(goal(1.0), 5.5)
+    clock.receive(goal(0.0), 5.0)
+    clock.receive(goal(1.0), 5.5)
     assert clock.time(5.5) == pytest.approx(1.22)
-    clock.hear(goal(1.05), 6.5)
+    clock.receive(goal(1.05), 6.5)
     assert 1.27 < clock.time(6.5) < 1.37
     for word in range(50):
-        clock.hear(goal(1.05 + 0.01 * word), 6.5 + 0.01 * word)
+        clock.receive(goal(1.05 + 0.01 * word), 6.5 + 0.01 * word)
     assert clock.time(6.99) == pytest.approx(1.05 + 0.49 + 0.22, abs=2e-3)

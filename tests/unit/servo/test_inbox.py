@@ -28,8 +28,8 @@ def inbox() -> Inbox:
 
 
 def test_a_target_is_as_old_as_it_was_under_way_longer_than_the_quickest(inbox: Inbox) -> None:
-    inbox.hear(reported(1, 0.0), 10.0)
-    inbox.hear(reported(2, 0.02), 10.07)
+    inbox.receive(reported(1, 0.0), 10.0)
+    inbox.receive(reported(2, 0.02), 10.07)
     _, age = inbox.newest(10.08)
     assert age == pytest.approx(0.06, abs=1e-3)
 
@@ -40,14 +40,14 @@ def refused(inbox: Inbox) -> str | None:
 
 
 def test_what_comes_out_of_order_or_far_too_late_or_for_another_robot_is_refused_by_field(inbox: Inbox) -> None:
-    inbox.hear(reported(2, 0.0), 10.0)
-    inbox.hear(reported(2, 0.02), 10.02)
+    inbox.receive(reported(2, 0.0), 10.0)
+    inbox.receive(reported(2, 0.02), 10.02)
     assert refused(inbox) == "sequence"
-    inbox.hear(reported(3, -0.02), 10.02)
+    inbox.receive(reported(3, -0.02), 10.02)
     assert refused(inbox) == "stamp"
-    inbox.hear(reported(3, 0.02), 10.5)
+    inbox.receive(reported(3, 0.02), 10.5)
     assert refused(inbox) == "stamp"
-    inbox.hear(reported(3, 0.5, JointSpeedTarget(kind="joint_speed", velocity=(0.1, 0.2))), 10.5)
+    inbox.receive(reported(3, 0.5, JointSpeedTarget(kind="joint_speed", velocity=(0.1, 0.2))), 10.5)
     assert refused(inbox) == "target.velocity"
     target, _ = inbox.newest(10.5)
     assert inbox.sequence == 2
@@ -62,10 +62,10 @@ def test_a_number_or_stamp_far_ahead_is_refused_by_field_and_the_targets_after_i
     inbox: Inbox, sequence: int, stamp: float, field: str
 ) -> None:
     for number in (1, 2, 3):
-        inbox.hear(reported(number, 0.02 * number), 10.0 + 0.02 * number)
-    inbox.hear(reported(sequence, stamp), 10.08)
+        inbox.receive(reported(number, 0.02 * number), 10.0 + 0.02 * number)
+    inbox.receive(reported(sequence, stamp), 10.08)
     assert refused(inbox) == field
-    inbox.hear(reported(4, 0.08), 10.081)
+    inbox.receive(reported(4, 0.08), 10.081)
     assert inbox.sequence == 4
     _, age = inbox.newest(10.081)
     assert age == pytest.approx(0.001, abs=1e-3)
@@ -73,35 +73,35 @@ def test_a_number_or_stamp_far_ahead_is_refused_by_field_and_the_targets_after_i
 
 @pytest.mark.parametrize("jump", [-20.0, -0.05, 20.0])
 def test_a_clock_that_is_set_costs_a_target_or_two(inbox: Inbox, jump: float) -> None:
-    inbox.hear(reported(1, 30.0), 10.0)
-    inbox.hear(reported(2, 30.02 + jump), 10.02)
+    inbox.receive(reported(1, 30.0), 10.0)
+    inbox.receive(reported(2, 30.02 + jump), 10.02)
     assert refused(inbox) == "stamp"
-    inbox.hear(reported(3, 30.04 + jump), 10.04)
+    inbox.receive(reported(3, 30.04 + jump), 10.04)
     assert inbox.sequence == 3
-    inbox.hear(reported(4, 30.06 + jump), 10.09)
+    inbox.receive(reported(4, 30.06 + jump), 10.09)
     _, age = inbox.newest(10.09)
     assert age == pytest.approx(0.03, abs=1e-3)
 
 
 def test_numbers_that_begin_anew_cost_a_target(inbox: Inbox) -> None:
-    inbox.hear(reported(500, 0.0), 10.0)
-    inbox.hear(reported(1, 0.02), 10.02)
+    inbox.receive(reported(500, 0.0), 10.0)
+    inbox.receive(reported(1, 0.02), 10.02)
     assert refused(inbox) == "sequence"
-    inbox.hear(reported(2, 0.04), 10.04)
+    inbox.receive(reported(2, 0.04), 10.04)
     assert inbox.sequence == 2
 
 
 def test_a_first_target_with_a_number_and_a_stamp_far_ahead_counts_for_a_second(inbox: Inbox) -> None:
-    inbox.hear(reported(10**9, 1e9), 10.0)
+    inbox.receive(reported(10**9, 1e9), 10.0)
     for number in range(1, 60):
-        inbox.hear(reported(number, 0.02 * number), 10.0 + 0.02 * number)
+        inbox.receive(reported(number, 0.02 * number), 10.0 + 0.02 * number)
     assert inbox.sequence == 59
 
 
 def test_targets_that_were_overtaken_are_refused_however_many_they_are(inbox: Inbox) -> None:
-    inbox.hear(reported(9, 0.18), 10.18)
+    inbox.receive(reported(9, 0.18), 10.18)
     for number in range(1, 9):
-        inbox.hear(reported(number, 0.02 * number), 10.18 + 0.01 * number)
+        inbox.receive(reported(number, 0.02 * number), 10.18 + 0.01 * number)
         assert refused(inbox) == "sequence"
     assert inbox.sequence == 9
 
@@ -118,13 +118,13 @@ def test_targets_that_were_overtaken_are_refused_however_many_they_are(inbox: In
 def test_numbers_that_no_robot_can_mean_are_refused_by_field_and_that_is_told_for_a_second(
     inbox: Inbox, target: PoseTarget | TwistTarget | JointSpeedTarget, field: str
 ) -> None:
-    inbox.hear(reported(1, 0.0, target), 10.0)
+    inbox.receive(reported(1, 0.0, target), 10.0)
     assert refused(inbox) == field
     assert inbox.newest(10.0) == (None, None)
-    inbox.hear(reported(2, 0.02), 10.02)
+    inbox.receive(reported(2, 0.02), 10.02)
     assert inbox.newest(10.02)[0] is not None
     assert refused(inbox) == field
-    inbox.hear(reported(3, 1.1), 11.1)
+    inbox.receive(reported(3, 1.1), 11.1)
     assert inbox.refused is None
 
 
@@ -134,12 +134,12 @@ def test_a_pose_goes_on_as_it_was_seen_to_move_and_one_that_jumps_does_not(inbox
         assert isinstance(target, targets.PoseTarget)
         return float(np.linalg.norm(target.velocity))
 
-    inbox.hear(reported(1, 0.0, pose(0.5)), 10.0)
+    inbox.receive(reported(1, 0.0, pose(0.5)), 10.0)
     assert velocity() == 0.0
-    inbox.hear(reported(2, 0.02, pose(0.502)), 10.02)
+    inbox.receive(reported(2, 0.02, pose(0.502)), 10.02)
     assert velocity() == pytest.approx(0.1)
-    inbox.hear(reported(3, 0.04, pose(0.8)), 10.04)
+    inbox.receive(reported(3, 0.04, pose(0.8)), 10.04)
     assert velocity() == 0.0
-    inbox.hear(reported(4, -9.0, pose(0.801)), 10.06)
-    inbox.hear(reported(5, -8.98, pose(0.802)), 10.08)
+    inbox.receive(reported(4, -9.0, pose(0.801)), 10.06)
+    inbox.receive(reported(5, -8.98, pose(0.802)), 10.08)
     assert velocity() == 0.0

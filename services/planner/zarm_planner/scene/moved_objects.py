@@ -21,7 +21,7 @@ class MovedObjects:
         self._poses: dict[str, tuple[SceneObject, SceneObject, float]] = {}
         self._placed: tuple[tuple[SceneObject, ...], tuple[SceneObject, ...]] | None = None
 
-    def hear(self, key: str, message: ObjectPose) -> None:
+    def receive(self, key: str, message: ObjectPose) -> None:
         """Take a message on the key of an object's pose."""
         name = key.split("/")[-2]
         item = next((item for item in self._scene().objects if item.name == name), None)
