@@ -19,7 +19,7 @@ that time.
 """
 _ASK_AFTER = 0.5  # s without a publication after which the executor is asked; in motion it publishes at 10 Hz
 _ASK_SECONDS = 1.0
-_REMEMBERED = 64
+_GOALS_KEPT = 64
 
 
 class Goals:
@@ -98,6 +98,6 @@ class Goals:
                 return
             self._states[state.goal_id] = state
             self._states.move_to_end(state.goal_id)
-            if len(self._states) > _REMEMBERED:
+            if len(self._states) > _GOALS_KEPT:
                 self._states.popitem(last=False)
             self._changed.notify_all()

@@ -14,7 +14,7 @@ from zarm_contract.urdf import Joint
 from zarm_geometry.frames import rotation_to
 from zarm_geometry.rows import primitives
 from zarm_geometry.shapes import Shape, link_shape, obstacle_shape
-from zarm_geometry.sphere_cover import MOST, sphere_cover
+from zarm_geometry.sphere_cover import MOST_BALLS, sphere_cover
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ def attached_body(item: Attached, dof: int, tip: Array) -> Body:
     name = item.object.name
     parts = [item.object] if not isinstance(item.object, Mesh | Voxels) else item.parts
     shapes = tuple(obstacle_shape(name, row) for row in primitives(parts))
-    balls = np.concatenate([sphere_cover(shape, max(2, MOST // len(shapes))) for shape in shapes])
+    balls = np.concatenate([sphere_cover(shape, max(2, MOST_BALLS // len(shapes))) for shape in shapes])
     return Body(name, dof - 1, tip, balls, shapes, touches=frozenset(item.touch_links))
 
 

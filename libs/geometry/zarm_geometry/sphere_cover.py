@@ -12,13 +12,13 @@ from zarm_geometry.shapes import Shape
 Array = NDArray[np.float64]
 Grid = tuple[int, int, int]
 
-MOST = 64
+MOST_BALLS = 64
 """Most balls for one object, unless it consists of more than half as many shapes."""
 STANDS_OUT = 0.005
 """No more balls are added once they protrude from the shape by at most this (m), the default margin."""
 
 
-def sphere_cover(shape: Shape, most: int = MOST) -> Array:
+def sphere_cover(shape: Shape, most: int = MOST_BALLS) -> Array:
     """Spheres (n, 4), x, y, z and radius (m), in the frame of the shape's pose; n <= `most`.
 
     Every point of the shape is in one of them. They protrude by at most STANDS_OUT, or if that takes too many by as

@@ -32,7 +32,7 @@ OUTSIDE = 0.004
 _FINEST = 0.0005
 PROTRUDES = 0.06
 """A sphere may protrude from its link by this (m), however small the link is, ..."""
-_SHARE, _SHARE_OUTSIDE = 0.35, 0.2
+_FILLED_SHARE, _OUTSIDE_SHARE = 0.35, 0.2
 """... and from a large link by this share of its length; the second one if its centre is most likely outside the link."""
 _CENTRE_OUTSIDE = 0.9
 """A sphere that protrudes by more than this share of its radius most likely has its centre outside the link."""
@@ -155,7 +155,7 @@ def _covers(robot: RobotDescription) -> Iterator[str]:
         lower, upper = bounds(rows)
         length = float(np.linalg.norm(upper.max(axis=0) - lower.min(axis=0)))
         allowed = [
-            max(PROTRUDES, length * (_SHARE_OUTSIDE if far > _CENTRE_OUTSIDE * ball[3] else _SHARE))
+            max(PROTRUDES, length * (_OUTSIDE_SHARE if far > _CENTRE_OUTSIDE * ball[3] else _FILLED_SHARE))
             for far, ball in zip(out, balls, strict=True)
         ]
         index = int(np.argmax(np.subtract(out, allowed)))

@@ -16,7 +16,7 @@ PERIOD, UNHURRIED = 0.002, 0.01
 wake up: 3 % of a core with the first, 0.6 % with the second.
 """
 
-MOST = 1024
+MESSAGES_PER_POLL = 1024
 """Most messages of one key taken in one poll."""
 
 
@@ -63,7 +63,7 @@ class Arrivals:
     def _drained(keys: list[tuple[Any, Callable[[Any, int], None]]]) -> list[tuple[Any, Callable[[Any, int], None]]]:
         found = []
         for entity, take in list(keys):
-            for _ in range(MOST):
+            for _ in range(MESSAGES_PER_POLL):
                 if (message := entity.try_recv()) is None:
                     break
                 found.append((message, take))

@@ -7,7 +7,7 @@ from collections import deque
 
 from zarm_contract.messages import DriverCommand
 
-_REMEMBERED = 1024
+_STATES_KEPT = 1024
 """Joint states whose time is known: 10 s of them at 100 Hz, 1 s at 1 kHz."""
 
 
@@ -21,7 +21,7 @@ class Expiry:
     """
 
     def __init__(self) -> None:
-        self._reports: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
+        self._reports: deque[tuple[float, float]] = deque(maxlen=_STATES_KEPT)
         self._lock = threading.Lock()
 
     def report(self, stamp: float, now: float) -> None:

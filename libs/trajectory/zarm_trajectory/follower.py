@@ -33,7 +33,7 @@ stood, because nobody commanded the robot meanwhile.
 """
 _SLOWEST = 0.01
 """Needing longer than the trajectory's duration at this path speed indicates a fault of the follower."""
-_LEAST = 1e-3
+_LEAST_RATE_CHANGE = 1e-3
 """Least change of the rate, 1/s^2, with which it is brought back to zero when the path speed has almost reached its
 target.
 """
@@ -210,7 +210,7 @@ class Follower:
         wall = 1.0 - self.speed if view.way > 0 else self.speed
         if wall <= 0.0:  # rounding
             return _Step(0.0, 0.0, self.target, level=True)
-        change = max(view.shrink, _LEAST, view.rate**2 / (2 * wall))
+        change = max(view.shrink, _LEAST_RATE_CHANGE, view.rate**2 / (2 * wall))
         time = view.rate / change
         return _Step(min(time, TICK), -view.way * change, self.target, level=time < TICK)
 
@@ -279,4 +279,4 @@ class _View:
             back = ease(each, min(most, each[0]))
             least = min(least, back)
         self.way, self.rate, self.most = way, now, most
-        self.shrink, self.ease = shrink, max(least, _LEAST)
+        self.shrink, self.ease = shrink, max(least, _LEAST_RATE_CHANGE)

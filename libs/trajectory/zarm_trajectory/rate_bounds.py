@@ -39,7 +39,7 @@ _BEYOND = 1.01
 """A trajectory whose jerk exceeds the limit by more than this factor comes from a source that ignores it."""
 _STANDING = 1e-9
 """Slope of a trajectory (rad/s) below which a joint does not constrain the path speed."""
-_MOST = 1e6
+_UNBOUNDED = 1e6
 """Bound where no joint is a constraint."""
 
 _KEPT = 200
@@ -184,4 +184,4 @@ def _remaining(most: Array, least: Array, *uses: tuple[Array, Array]) -> Array:
     left = most.reshape(flat)
     for used, share in uses:
         left = left - used.reshape(flat) * share[..., None]
-    return np.asarray(np.maximum(left, least.reshape(flat)).min(axis=2).clip(0.0, _MOST))
+    return np.asarray(np.maximum(left, least.reshape(flat)).min(axis=2).clip(0.0, _UNBOUNDED))

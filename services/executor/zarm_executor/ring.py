@@ -17,7 +17,7 @@ SIZE = 64 * 1024 * 1024
 """Its memory limit (bytes), which may shorten its reach."""
 
 _SPAN = 1.0
-_SHARE = 64
+_SEGMENTS = 64
 """A segment ends after `_SPAN` s, or when it holds this fraction (1/64) of the memory limit; the oldest is dropped
 whole.
 """
@@ -60,7 +60,7 @@ class Ring:
         entry, now, size = (time.time_ns(), key, payload), time.monotonic(), len(payload) + _OVERHEAD
         dropped = []  # freed only outside the lock
         with self._lock:
-            if now - self._newest.began > _SPAN or self._newest.size + size > self._most // _SHARE:
+            if now - self._newest.began > _SPAN or self._newest.size + size > self._most // _SEGMENTS:
                 self._newest = _Segment(now, self._present.copy())
                 self._segments.append(self._newest)
             if key in self._recorded.present:

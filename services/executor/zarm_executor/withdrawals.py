@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-WITHDRAWN = 4096
+GOALS_KEPT = 4096
 """Number of goals remembered that were cancelled before they arrived."""
 
 
@@ -12,7 +12,7 @@ class Withdrawals:
     """The goals that will not start. `successor` is the goal that waits for the one it preempts."""
 
     def __init__(self) -> None:
-        self._goal_ids: deque[str] = deque(maxlen=WITHDRAWN)
+        self._goal_ids: deque[str] = deque(maxlen=GOALS_KEPT)
         self.successor: str | None = None
 
     def withdraw(self, goal_id: str) -> None:

@@ -10,7 +10,7 @@ from zarm_contract.errors import InternalError, ZarmError
 
 log = logging.getLogger(__name__)
 
-MOST = 2000
+LONGEST_MESSAGE = 2000
 """Most characters of a message; it may quote client input of any length."""
 
 Handler = Callable[[Any, Any], str]
@@ -68,4 +68,6 @@ def _outcome(handler: Handler, request: Any, response: Any) -> tuple[bool, str]:
 
 def shortened(text: str) -> str:
     """The text; of one longer than MOST, its beginning and its end, which contains the remedy and the field."""
-    return text if len(text) <= MOST else f"{text[: MOST // 2]} ... {text[-MOST // 2 :]}"
+    return (
+        text if len(text) <= LONGEST_MESSAGE else f"{text[: LONGEST_MESSAGE // 2]} ... {text[-LONGEST_MESSAGE // 2 :]}"
+    )

@@ -22,7 +22,7 @@ from zarm_ros_bridge.ros import Ros
 if TYPE_CHECKING:
     from curobo_msgs.srv import Fk, Ik, IkBatch, WarmupFK, WarmupIK
 
-MOST = 1000
+LARGEST_BATCH = 1000
 """Most poses or joint states in one request."""
 _SECONDS = 65.0
 """Longest wait (s) for a batch, for which the planner allows 60 s."""
@@ -109,8 +109,8 @@ class Kinematics:
 
 
 def _check_count(count: int, field: str) -> None:
-    if not 1 <= count <= MOST:
-        raise InvalidRequest(f"{count} is outside 1 to {MOST}, which one request may have", field=field)
+    if not 1 <= count <= LARGEST_BATCH:
+        raise InvalidRequest(f"{count} is outside 1 to {LARGEST_BATCH}, which one request may have", field=field)
 
 
 def _unsolved(what: str, field: str) -> PlanningFailed:

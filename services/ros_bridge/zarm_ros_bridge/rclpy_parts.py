@@ -31,7 +31,7 @@ SENDERS = (
 """Where rclpy sends replies: class and name of the method. If the client cannot be reached yet, it warns `UNSENT`."""
 UNSENT = "failed to send response"
 
-MOST = 16
+MESSAGES_PER_TURN = 16
 """Most messages taken from one topic before the others get their turn."""
 CALM = 1.0
 """How long (s) a `Reception` must receive only deferrable messages before any are deferred."""
@@ -120,8 +120,8 @@ class Reception:
 
 
 def _taken(subscription: Subscription) -> Iterator[Any]:
-    """The messages waiting on a subscription, at most `MOST`."""
-    for _ in range(MOST):
+    """The messages waiting on a subscription, at most `MESSAGES_PER_TURN`."""
+    for _ in range(MESSAGES_PER_TURN):
         if (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is None:
             return
         yield taken[0]

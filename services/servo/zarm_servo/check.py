@@ -27,7 +27,7 @@ DISTANCE = 0.02
 """The robot stops this far (m) from an obstacle if it can."""
 _SAMPLE = 0.01
 """Interval (s) at which the trajectory is sampled."""
-AHEAD = 3.0
+LOOK_AHEAD = 3.0
 """Look-ahead (s of path time) when checking against moving objects."""
 _FINENESS = 0.02
 """The sweep of a moving object is approximated by copies of it at most twice this (m) apart."""
@@ -139,7 +139,7 @@ class Checker:
         """
         if begin >= trajectory.duration:
             return PathValidity()
-        times = _times(begin, min(begin + AHEAD, trajectory.duration))
+        times = _times(begin, min(begin + LOOK_AHEAD, trajectory.duration))
         positions = trajectory.positions(times)
 
         def first(places: Sequence[MovingObject]) -> MotionVerdict:

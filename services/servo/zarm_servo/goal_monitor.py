@@ -21,7 +21,7 @@ _STARTED = 2.0
 """A goal whose trajectory arrived this long (s) ago is running by now, or was refused."""
 _BEHIND = 0.3
 """The robot may lag the last command by at most this (s of path time)."""
-_AHEAD = 0.05
+_STATE_AGE = 0.05
 """Greatest age (s) of a goal state when it arrives."""
 
 
@@ -98,7 +98,7 @@ class GoalMonitor:
         """The path time (s) that the robot has reached, or slightly less."""
         trajectory, measured = followed.trajectory, self._measured.get(max_age=_BEHIND)
         first = max(followed.commanded - _BEHIND, float(trajectory.time[0]))
-        last = min(followed.commanded + now - followed.reported + _AHEAD, trajectory.duration)
+        last = min(followed.commanded + now - followed.reported + _STATE_AGE, trajectory.duration)
         if measured is None or set(measured.joint_names) != set(self._joints):
             return first
         order = [measured.joint_names.index(name) for name in self._joints]

@@ -21,11 +21,11 @@ _JUMP = 2.0, 6.0
 """A pose that moves faster than this (m/s, rad/s) from one target to the next has jumped."""
 _SKIPPED = 1000
 """At most one second's targets are lost between two that arrive; if more are missing, the number is wrong."""
-_AHEAD = 1.0
+_CLOCK_JUMP = 1.0
 """A stamp further ahead (s) than the time since the previous target comes from a clock that is wrong or was set."""
 _REORDERED = 1.0
 """Targets that arrive out of order do so within this time (s)."""
-_MOST = 1000.0
+_LARGEST_VALUE = 1000.0
 """A larger number (m, rad, m/s, rad/s) is not a valid target: it is in another unit, or the result of a division by
 zero.
 """
@@ -124,9 +124,9 @@ class Inbox:
 
     def _read(self, message: m.ServoTarget) -> Target:
         for field, values in message.target:
-            if isinstance(values, tuple) and max(map(abs, values), default=0.0) > _MOST:
+            if isinstance(values, tuple) and max(map(abs, values), default=0.0) > _LARGEST_VALUE:
                 raise InvalidRequest(
-                    f"{max(values, key=abs):g} is more than {_MOST:g}; lengths are in m, angles in rad, speeds in m/s and rad/s",
+                    f"{max(values, key=abs):g} is more than {_LARGEST_VALUE:g}; lengths are in m, angles in rad, speeds in m/s and rad/s",
                     field=f"target.{field}",
                 )
         match message.target:
@@ -166,7 +166,7 @@ def _fault(message: m.ServoTarget, before: m.ServoTarget, passed: float) -> Inva
             "do not set the clock of the client while a session is open",
             field="stamp",
         )
-    if ahead - passed > _AHEAD:
+    if ahead - passed > _CLOCK_JUMP:
         return InvalidRequest(
             f"target {message.sequence} was made {ahead:.3f} s after target {before.sequence}, but came {passed:.3f} s after it; "
             "stamp all targets of a session on one clock (s)",

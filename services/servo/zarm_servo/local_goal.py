@@ -40,11 +40,11 @@ _REFRESHED = 0.2
 """Interval (s) at which a plan to a moving target is requested."""
 _SAME = 0.001, 0.01, 0.001
 """m, rad, rad of a joint: a target that has moved by less than this counts as unmoved."""
-_FAR = 0.1, 0.5, 0.3
+_JUMPS = 0.1, 0.5, 0.3
 """m, rad, rad of a joint: a target further than this from the end of a plan has jumped, and the plan is obsolete."""
 _ARRIVED = 0.1
 """This close (rad) to the end of a plan to a moving target, the robot follows the target directly again."""
-_AHEAD = 0.8, 0.4, 0.2, 0.1, 0.05
+_STEER_DISTANCES = 0.8, 0.4, 0.2, 0.1, 0.05
 """Distances (rad) ahead on the plan of the point to steer for: the first one reached by a free straight line is used.
 """
 _LOOKS = 5
@@ -114,7 +114,7 @@ class LocalGoal:
         if self._asked_for is None or revision != self._revision or _apart(wanted, self._asked_for, _SAME):
             self._attempts, self._timeout = 0, _TIMEOUTS[0]
             self.problem = None
-        if self._asked is not None and self._asked_for is not None and _apart(wanted, self._asked_for, _FAR):
+        if self._asked is not None and self._asked_for is not None and _apart(wanted, self._asked_for, _JUMPS):
             self._asked.cancel()
             self._asked = None
 
@@ -171,8 +171,8 @@ class LocalGoal:
 
     def _ahead(self, plan: GlobalPlan, position: Array) -> Array:
         if self._point is None or self._steps % _LOOKS == 0:
-            plan.advance(position, _AHEAD[0])
-            points = [plan.ahead(length) for length in _AHEAD]
+            plan.advance(position, _STEER_DISTANCES[0])
+            points = [plan.ahead(length) for length in _STEER_DISTANCES]
             self._point = next((point for point in points[:-1] if self._free(position, point)), points[-1])
         return self._point
 
@@ -186,7 +186,7 @@ class LocalGoal:
 
 def _leads_to(plan: GlobalPlan, wanted: PoseTarget | JointTarget) -> bool:
     """Whether a plan has served its purpose: it leads elsewhere, or the target can be followed directly from here."""
-    if _apart(wanted, plan.target, _FAR):
+    if _apart(wanted, plan.target, _JUMPS):
         return True
     return plan.left < _ARRIVED and (plan.refusal is not None or _apart(wanted, plan.target, _SAME))
 

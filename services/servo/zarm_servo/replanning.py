@@ -26,7 +26,7 @@ from zarm_contract.messages import (
 from zarm_contract.robot import RobotDescription
 from zarm_runtime.bus import Latest
 from zarm_runtime.metrics import Metrics
-from zarm_servo.check import AHEAD, Checker
+from zarm_servo.check import LOOK_AHEAD, Checker
 from zarm_servo.lead import Lead
 from zarm_servo.moving_objects import MovingObjects
 from zarm_servo.scene_monitor import SceneMonitor
@@ -245,7 +245,7 @@ class Replanner:
             stopping = StoppingTime(trajectory, self._limits, self._reaction).after(0.0)
             if self._checker.validity_among(trajectory, 0.0, scene, movers, now, stopping).until is not None:
                 return False
-            until = AHEAD
+            until = LOOK_AHEAD
         message = blocked.message
         self._replace(
             ReplaceTrajectory(

@@ -10,13 +10,13 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 _STEP = 0.05
 """Path time (s) between two evaluated points."""
-_AHEAD = 0.3
+_BRAKING_HORIZON = 0.3
 """Path time (s) ahead of the robot within which braking may begin."""
-_POINT = 0.02
+_BRAKING_STEP = 0.02
 """Time step (s) of the braking computation."""
-_SHARE = 1.1
+_TIME_FACTOR = 1.1
 """Factor for an executor that brakes in ticks, and for a robot that comes to rest behind the command."""
-_WAY = 0.06
+_REACTION_TIME = 0.06
 """Longest time (s) for a pose to reach the servo, be checked, and have its result reach the executor."""
 _TICKS = 3
 """Executor ticks until a stop takes effect."""
@@ -29,7 +29,7 @@ def reaction(descriptor: RobotDescriptor) -> float:
     `guard_timeout`.
     """
     execution, driver = descriptor.execution, descriptor.strategy_params
-    time = _WAY + _TICKS * execution.control_period
+    time = _REACTION_TIME + _TICKS * execution.control_period
     if driver is not None:
         time += driver.delay + driver.chunk_period + driver.look_ahead
     return time + (execution.guard_timeout if execution.guard == "required" else 0.0)
@@ -44,12 +44,12 @@ class StoppingTime:
 
     def after(self, time: float) -> float:
         """Time (s) within which a robot at the path time `time` (s), or slightly further, comes to rest."""
-        first, last = int(time / _STEP), int((time + _AHEAD) / _STEP) + 1
-        return self._reaction + _SHARE * max(self._braking(k) for k in range(first, last + 1))
+        first, last = int(time / _STEP), int((time + _BRAKING_HORIZON) / _STEP) + 1
+        return self._reaction + _TIME_FACTOR * max(self._braking(k) for k in range(first, last + 1))
 
     def _braking(self, k: int) -> float:
         if k not in self._known:
             trajectory = self._follower.trajectory
             time = min(max(k * _STEP, trajectory.begin), trajectory.duration)
-            self._known[k], _ = self._follower.rest(PathState(time, 1.0), _POINT)
+            self._known[k], _ = self._follower.rest(PathState(time, 1.0), _BRAKING_STEP)
         return self._known[k]

@@ -10,7 +10,7 @@ from support.examples import examples
 from support.planner.sphere_model import distance, random_object
 from zarm_geometry.rows import primitives
 from zarm_geometry.shapes import obstacle_shape
-from zarm_geometry.sphere_cover import MOST, STANDS_OUT, sphere_cover
+from zarm_geometry.sphere_cover import MOST_BALLS, STANDS_OUT, sphere_cover
 
 KINDS = ("cuboid", "sphere", "capsule", "cylinder")
 
@@ -26,7 +26,7 @@ def test_a_few_balls_cover_a_shape_whole(kind: str, size: float, seed: int) -> N
     deepest = (np.linalg.norm(inside[:, None] - balls[:, :3], axis=2) - balls[:, 3]).min(axis=1)
     assert len(inside) > 5
     assert deepest.max() < 1e-9
-    assert len(balls) <= MOST
+    assert len(balls) <= MOST_BALLS
 
 
 @examples(0.6)

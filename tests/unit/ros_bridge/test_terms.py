@@ -13,7 +13,7 @@ TERMS = Terms("/left/unified_planner", Keys("left"), load_robot("doosan_m1013").
 
 
 @pytest.mark.parametrize(
-    ("said", "told"),
+    ("said", "reported"),
     [
         (
             "check its driver, then reset (executor/reset)",

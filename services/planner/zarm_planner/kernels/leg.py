@@ -10,7 +10,7 @@ from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.vectors import copy
 from zarm_planner.kernels.clock import seconds
 from zarm_planner.kernels.rrt_connect import connect
-from zarm_planner.kernels.shortcut import MOST, shortcut
+from zarm_planner.kernels.shortcut import MOST_SHORTCUTS, shortcut
 from zarm_planner.kernels.trees import Trees
 
 # Of the values tried, these gave the shortest motions for the same mean planning time over MotionBenchMaker's scenes. The
@@ -94,7 +94,7 @@ def quickest_of(
         rows = path.shape[0]
         if rows == 0:
             continue
-        buffer = np.empty((rows + MOST, dof), np.float32)
+        buffer = np.empty((rows + MOST_SHORTCUTS, dof), np.float32)
         for i in range(rows):
             copy(path[i], buffer[i])
         random[0] = seeds[tried]

@@ -7,7 +7,7 @@ import numpy as np
 from zarm_geometry.kernels.compiled import brief, inlined
 from zarm_planner.kernels.ramps import Array
 
-MOST = 15
+MOST_DECIMALS = 15
 """Most decimals: beyond them a float has none."""
 
 
@@ -15,7 +15,7 @@ MOST = 15
 def _decimal(value: float, unit: float, least: float) -> float:
     """The nearest multiple of the largest decimal unit up to `unit` and up to 1 / `least`."""
     scale = least
-    while scale * unit < 1.0 and scale < 10.0**MOST:
+    while scale * unit < 1.0 and scale < 10.0**MOST_DECIMALS:
         scale *= 10.0
     return float(np.rint(value * scale) / scale)
 

@@ -12,7 +12,7 @@ from zarm_geometry.kernels.vectors import apart, between, copy
 from zarm_planner.kernels.clock import passed
 from zarm_planner.kernels.random import uniform
 
-MOST = 200
+MOST_SHORTCUTS = 200
 """Maximum number of shortcuts tried."""
 PATIENCE = 40
 """Shortcutting ends after this many failed attempts in a row; twice as many would make paths 1 % shorter."""
@@ -56,7 +56,7 @@ def shortcut(
     a, b = np.empty(dof, np.float32), np.empty(dof, np.float32)
     count = skip_vertices(checks, path, count, deadline, now)
     failed = tried = 0
-    while count > 2 and failed < PATIENCE and tried < MOST and not passed(deadline, now):
+    while count > 2 and failed < PATIENCE and tried < MOST_SHORTCUTS and not passed(deadline, now):
         tried += 1
         failed += 1
         length = 0.0

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 _LEG_SAMPLES = 1000
 """Samples after which the search between two configurations gives up."""
-_MOST = 100_000
+_SAMPLES = 100_000
 """Samples after which the search to any of several configurations gives up, some seconds."""
 
 
@@ -101,7 +101,7 @@ class _ConstrainedPaths:
 
     def to_any(self, start: Array, goals: Array, until: Deadline) -> Array | None:
         """The first path found, with shortcuts."""
-        return self._path(start, goals, until, _MOST)
+        return self._path(start, goals, until, _SAMPLES)
 
     def _path(self, start: Array, goals: Array, until: Deadline, most: int) -> Array | None:
         if np.array_equal(start, goals[0]):

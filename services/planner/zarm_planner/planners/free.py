@@ -29,13 +29,13 @@ Array = NDArray[np.float64]
 Timed = Callable[[], TimedTrajectory]
 """Times a route."""
 
-_TRIES = 10
+_SEARCHES = 10
 """Most searches for a path between two configurations, of which the quickest path counts."""
 LEG_SAMPLES = 1000
 """Samples after which each of them gives up, a millisecond; nine of ten problems of MotionBenchMaker take fewer."""
 _ALONE = 3
 """Factor on these samples for a leg without an alternative."""
-_MOST = 300_000
+_SAMPLES = 300_000
 """Samples after which the search to any of several configurations gives up: 0.1 s while its trees are small, and seconds
 once they are large.
 """
@@ -123,7 +123,7 @@ class _FreePaths:
     def between(self, start: Array, goal: Array, within: float, *, alone: bool) -> Array | None:
         """The quickest of a few paths; of more if they differ."""
         context = self.context
-        seeds = range(_TRIES * context.seed, _TRIES * (context.seed + 1))
+        seeds = range(_SEARCHES * context.seed, _SEARCHES * (context.seed + 1))
         found = quickest_of(
             context.model,
             context.world,
@@ -145,7 +145,7 @@ class _FreePaths:
         context = self.context
         model, world, seed, deadline = context.model, context.world, context.seed, context.deadline
         with context.timer.stage("search"):
-            path = search(model, world, start, goals, seed=seed, deadline=until, most=_MOST)
+            path = search(model, world, start, goals, seed=seed, deadline=until, most=_SAMPLES)
         deadline.check()
         if path is None:
             return None

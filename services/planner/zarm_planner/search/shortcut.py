@@ -26,7 +26,7 @@ def shortcut(model: RobotModel, world: World, path: Array, *, seed: int, deadlin
     If both ends are the same configuration, the path can be one row. The same seed gives the same path. `deadline` only
     makes it end sooner, with the best path so far.
     """
-    buffer = np.empty((len(path) + kernel.MOST, model.dof), np.float32)
+    buffer = np.empty((len(path) + kernel.MOST_SHORTCUTS, model.dof), np.float32)
     buffer[: len(path)] = path
     rows = kernel.shortcut(
         model.arrays,
