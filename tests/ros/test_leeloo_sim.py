@@ -40,7 +40,7 @@ def trajectory(
 
 @dataclasses.dataclass
 class Arm:
-    """The process `driver`, what it has report so far, and `command` that sends it a trajectory."""
+    """The process `driver`, what it has reported so far, and `command` that sends it a trajectory."""
 
     bus: Bus
     keys: Keys

@@ -54,15 +54,15 @@ class Connection:
     def latched(self, key: Latched[M]) -> Generator[M]:
         """The present value of a key and then each new one."""
 
-        def subscribe(tell: Callable[[M], None]) -> Callable[[], None]:
-            return self.interrupts.run_interruptibly(lambda: self.bus.watch(key, lambda _, value: tell(value)))
+        def subscribe(emit: Callable[[M], None]) -> Callable[[], None]:
+            return self.interrupts.run_interruptibly(lambda: self.bus.watch(key, lambda _, value: emit(value)))
 
         return live(subscribe, self.interrupts, self.bus.check_open)
 
     def published(self, key: Published[M]) -> Generator[M]:
         """Each value published on a key from now on."""
         return live(
-            lambda tell: self.bus.subscribe(key, lambda _, value: tell(value)), self.interrupts, self.bus.check_open
+            lambda emit: self.bus.subscribe(key, lambda _, value: emit(value)), self.interrupts, self.bus.check_open
         )
 
     def next(self, key: Published[M], seconds: float) -> M | None:

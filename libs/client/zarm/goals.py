@@ -31,15 +31,15 @@ class Goals:
         self._states: OrderedDict[str, GoalState] = OrderedDict()
         self._changed = threading.Condition()
         self._listening = threading.Lock()
-        self._heard = False
+        self._subscribed = False
 
     def listen(self) -> None:
         """From now on miss no state; states of goals that have not ended are read first."""
         self._bus.check_open()
         with self._listening:
-            if not self._heard:
+            if not self._subscribed:
                 self._bus.watch(self._keys.goal("*"), lambda _, state: self._note(state))
-                self._heard = True
+                self._subscribed = True
 
     def known(self, goal_id: str) -> GoalState | None:
         """The last known state of a goal."""

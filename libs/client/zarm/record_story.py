@@ -73,7 +73,7 @@ def robot_of(key: str) -> str:
     return chunks[1]
 
 
-def tell(entries: Iterable[tuple[int, str, bytes]]) -> Story:
+def summarize(entries: Iterable[tuple[int, str, bytes]]) -> Story:
     """The story of a record's messages, in order of time. Raises InvalidRequest if none is of zarm."""
     entries = iter(entries)
     if (first := next(entries, None)) is None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from zarm.connection import keys_of, opened
 from zarm.interrupts import SLICE, CtrlC, Interrupts
-from zarm.record_story import Story, robot_of, tell
+from zarm.record_story import Story, robot_of, summarize
 from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
@@ -28,7 +28,7 @@ _LOOK_SECONDS = 1.0
 def story(file: str | Path, *, interrupts: Interrupts | None = None) -> Story:
     """Summarise a record: its events, the number of messages, and which joint was furthest from its command. Raises
     InvalidRequest for a file that is not a record."""
-    return tell(_entries(Path(file), interrupts or CtrlC()))
+    return summarize(_entries(Path(file), interrupts or CtrlC()))
 
 
 def replay(

@@ -48,7 +48,7 @@ class _Session:
         started = connection.ask(connection.keys.servo_start, request, timeout=_START_SECONDS)
         self.goal_id = started.goal_id
         self._unwatch = connection.interrupts.run_interruptibly(
-            lambda: connection.bus.watch(connection.keys.servo_state, self._hear)
+            lambda: connection.bus.watch(connection.keys.servo_state, self._on_state)
         )
 
     @property
@@ -92,7 +92,7 @@ class _Session:
         if goal is not None and goal.problem is not None:
             raise from_problem(goal.problem)
 
-    def _hear(self, _: str, state: ServoState) -> None:
+    def _on_state(self, _: str, state: ServoState) -> None:
         if state.session is not None and state.session.goal_id == self.goal_id:
             self._state = state.session
 

@@ -27,7 +27,7 @@ class Stream:
         self._began = 0.0
         self._publisher = connection.publisher(connection.keys.stream)
         connection.interrupts.run_interruptibly(connection.goals.listen)
-        connection.interrupts.run_interruptibly(self._wait_heard)
+        connection.interrupts.run_interruptibly(self._wait_for_subscriber)
 
     @property
     def time(self) -> float:
@@ -84,7 +84,7 @@ class Stream:
                 pass
         return self.state
 
-    def _wait_heard(self) -> None:
+    def _wait_for_subscriber(self) -> None:
         deadline = time.monotonic() + ANSWER_SECONDS
         while not self._publisher.has_subscribers():
             if time.monotonic() > deadline:

@@ -128,7 +128,7 @@ class ExecutionSettings(_Section):
     progress_timeout: Positive = 1.0
     """How long the driver of a moving robot may stay at one point of its path (s)."""
     faults: FaultPolicy = "latch"
-    """How a fault is left. `latch`: by `reset` alone. `clear_at_rest`: also by the next goal, once the robot rests and reports its joints. A robot that did not stop when it was reported to needs a `reset` either way."""
+    """How a fault is left. `latch`: by `reset` alone. `clear_at_rest`: also by the next goal, once the robot rests and reports its joints. A robot that did not stop when it was told to needs a `reset` either way."""
 
     guard: Literal["optional", "required"] = "optional"
     """Whether a servo must guard every motion. `required`: without one none starts, and one that runs is held. `optional`: it moves

@@ -84,9 +84,9 @@ class Measure:
         skin = self._skin(row)
         outer = np.flatnonzero(~within(skin.points, others, 1e-5))
         # Whether a point is within the body takes the longest to tell: first of those that decide.
-        self._tell(skin, outer[skin.out[outer] > most])
+        self._decide_inside(skin, outer[skin.out[outer] > most])
         if skin.out[outer].max(initial=0.0) <= most:
-            self._tell(skin, outer)
+            self._decide_inside(skin, outer)
         out = skin.out[outer]
         return Out(float(out.max(initial=0.0)), skin.each * float(out.sum()), skin.each * len(out))
 
@@ -98,7 +98,7 @@ class Measure:
         unsure = out > self.goal.mean
         return float(out[unsure][~self._body.inside(points[unsure])].max(initial=0.0))
 
-    def _tell(self, skin: _Skin, some: NDArray[np.intp]) -> None:
+    def _decide_inside(self, skin: _Skin, some: NDArray[np.intp]) -> None:
         """Decide which of these points are within the body."""
         unsure = some[skin.unsure[some]]
         skin.out[unsure[self._body.inside(skin.points[unsure])]] = 0.0

@@ -40,15 +40,15 @@ class Inbox(Generic[T]):
 
 
 class _Insistence:
-    def __init__(self, tell: Callable[[], object]) -> None:
-        self._tell = tell
+    def __init__(self, explain: Callable[[], object]) -> None:
+        self._explain = explain
         self._explained = False
         self._until = time.monotonic() + _INSISTS
 
     def check(self) -> None:
         if len(signals.received) == 2 and not self._explained:
             self._explained = True
-            self._tell()
+            self._explain()
         if len(signals.received) > 2 and time.monotonic() >= self._until:
             raise KeyboardInterrupt
 
@@ -83,11 +83,11 @@ def check() -> None:
 
 
 @contextmanager
-def insist(tell: Callable[[], object]) -> Iterator[None]:
-    """A block in which a first signal stays pending, a second one makes `tell` show what is awaited, and a third one,
+def insist(explain: Callable[[], object]) -> Iterator[None]:
+    """A block in which a first signal stays pending, a second one makes `explain` show what is awaited, and a third one,
     though not in the first second, raises KeyboardInterrupt.
     """
-    _state.insistence = _Insistence(tell)
+    _state.insistence = _Insistence(explain)
     try:
         yield
     finally:

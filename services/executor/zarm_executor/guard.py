@@ -74,14 +74,14 @@ class Guard:
         self._reaction = _TICKS * execution.control_period
         self._limits = RateLimits.of(descriptor)
         self._newest: Authority | None = None
-        self._heard_at = self._confirmed_at = -math.inf
+        self._received_at = self._confirmed_at = -math.inf
 
     def receive(self, authority: Authority, now: float) -> bool:
         """Note an authority; returns whether it is newer than the last one."""
         before = self._newest
         if before is not None and before.servo == authority.servo and authority.sequence <= before.sequence:
             return False
-        self._newest, self._heard_at = authority, now
+        self._newest, self._received_at = authority, now
         return True
 
     def of(self, goal_id: str) -> Authority | None:
@@ -92,7 +92,7 @@ class Guard:
     def confirm(self, goal_id: str | None, scene: SceneRevision | None, now: float) -> bool:
         """Whether the robot is guarded, with this goal or none, in this scene; asked at every tick."""
         if self.checked(goal_id, scene, now):
-            self._confirmed_at = self._heard_at
+            self._confirmed_at = self._received_at
         return now - self._confirmed_at <= self.timeout
 
     def checked(self, goal_id: str | None, scene: SceneRevision | None, now: float) -> bool:
@@ -101,7 +101,7 @@ class Guard:
         return (
             newest is not None
             and (newest.goal_id, newest.scene_revision) == (goal_id, scene)
-            and now - self._heard_at <= self.timeout
+            and now - self._received_at <= self.timeout
         )
 
     def limit(

@@ -43,7 +43,7 @@ class Monitor:
         self._rest_since: float | None = None
         self._reached = 0.0
         self._reached_at: float | None = None
-        self._heard_at: float | None = None
+        self._received_at: float | None = None
 
     def steer(self, trajectory: TimedTrajectory) -> None:
         """Continue along `trajectory`, which at its present time is where the previous one is."""
@@ -68,7 +68,7 @@ class Monitor:
         if measured is None or now - measured.time > self._execution.joint_state_timeout:
             self._wait_for_joints(now, dt, measured)
             return False
-        self._heard_at = now
+        self._received_at = now
         self._on_path(measured, progress)
         self._advancing(now, progress)
         self._commanded += 0.0 if progress.at_rest else dt * progress.speed
@@ -86,9 +86,9 @@ class Monitor:
         return True
 
     def _wait_for_joints(self, now: float, dt: float, measured: Measured | None) -> None:
-        if self._heard_at is None or dt > CATCH_UP:  # messages from a pause of the executor are still unread
-            self._heard_at = now
-        if now - self._heard_at > self._execution.hold_timeout:
+        if self._received_at is None or dt > CATCH_UP:  # messages from a pause of the executor are still unread
+            self._received_at = now
+        if now - self._received_at > self._execution.hold_timeout:
             age = np.inf if measured is None else now - measured.time
             raise ExecutionFailed(
                 f"the robot has reported no new joints for {age:.2f} s (joint_state_timeout "

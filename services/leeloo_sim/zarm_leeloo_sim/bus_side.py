@@ -49,7 +49,7 @@ class BusSide:
 
         self._bus.subscribe_timed(self._keys.driver_command, received)
 
-    def tell_joints(self, position: Array, velocity: Array) -> None:
+    def publish_joints(self, position: Array, velocity: Array) -> None:
         """Publish the joint positions (J,) rad and velocities (J,) rad/s."""
         axes, stamp = self._axes, time.time()
         self._expiry.report(stamp, time.monotonic())
@@ -62,6 +62,6 @@ class BusSide:
             )
         )
 
-    def tell_progress(self, progress: PlaybackProgress) -> None:
+    def publish_progress(self, progress: PlaybackProgress) -> None:
         """Publish the progress of the driver."""
         self._progress.put(DriverProgress(sequence=progress.sequence, fraction=progress.fraction))

@@ -56,13 +56,13 @@ class LeelooDriver:
     def __init__(
         self,
         player: Player,
-        tell_joints: Callable[[Array, Array], None],
-        tell_progress: Callable[[PlaybackProgress], None],
+        publish_joints: Callable[[Array, Array], None],
+        publish_progress: Callable[[PlaybackProgress], None],
         trace: TextIO | None = None,
     ) -> None:
         self._player = player
-        self._tell_joints = tell_joints
-        self._tell_progress = tell_progress
+        self._publish_joints = publish_joints
+        self._publish_progress = publish_progress
         self._trace = trace
         self._fault = DriverFault()
         self._random = random.Random(1)  # noqa: S311  which commands get lost is no secret
@@ -112,11 +112,11 @@ class LeelooDriver:
                 self._trace.write(",".join(map(repr, row)) + "\n")
             if self._fault.silent:
                 return
-            self._tell_joints(self._player.position, self._player.velocity)
+            self._publish_joints(self._player.position, self._player.velocity)
             progress = PlaybackProgress(self._sequence, self._player.played, self._player.total)
             if self._sequence and progress.fraction != self._fraction_reported and not self._fault.stall:
                 self._fraction_reported = progress.fraction
-                self._tell_progress(progress)
+                self._publish_progress(progress)
 
     def _take(self, command: Command) -> None:
         if lacking := self._player.play(command.position, command.velocity):

@@ -61,7 +61,7 @@ class RosSide:
 
         self._node.create_subscription(JointTrajectory, self._command_topic, received, DEPTH)
 
-    def tell_joints(self, position: Array, velocity: Array) -> None:
+    def publish_joints(self, position: Array, velocity: Array) -> None:
         """Publish the joint positions (J,) rad and velocities (J,) rad/s; the effort is unknown."""
         axes = self._axes
         message = JointState(
@@ -73,7 +73,7 @@ class RosSide:
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._joints.publish(message)
 
-    def tell_progress(self, progress: PlaybackProgress) -> None:
+    def publish_progress(self, progress: PlaybackProgress) -> None:
         """Publish points played / points received; nothing for a stop, which has none."""
         if self._progress is not None and progress.total:
             self._progress.publish(Float32(data=progress.fraction))

@@ -44,8 +44,8 @@ def start(service: Service) -> Iterator[None]:
         side = stack.enter_context(_on_ros(service, axes)) if options.ros else BusSide(bus, keys, axes)
         driver = LeelooDriver(
             Player(position, plays=options.plays, ceiling=math.radians(options.ceiling)),
-            side.tell_joints,
-            (lambda _: None) if options.no_progress else side.tell_progress,
+            side.publish_joints,
+            (lambda _: None) if options.no_progress else side.publish_progress,
             trace,
         )
         side.listen(driver.play)

@@ -66,17 +66,17 @@ class ClosedLoop:
         asked = generation.goal(run.handle.request, planner, self._engine.joints)
         kind = generation.types["action/SendTrajectory"].Feedback
 
-        def tell(state: str, convergence: Convergence, joint_command: RosJointState) -> None:
+        def publish(state: str, convergence: Convergence, joint_command: RosJointState) -> None:
             run.handle.publish_feedback(
                 generation.feedback(kind, state, convergence.progress, joint_command, convergence)
             )
 
         target = self._engine.client.tip() if asked is None else _one_pose(asked, planner)
         try:
-            return self._follow(run, LiveTarget(target, timed=planner == "retarget"), tell, ends_on_target=False)
+            return self._follow(run, LiveTarget(target, timed=planner == "retarget"), publish, ends_on_target=False)
         except ZarmError as error:
             if error.code != "cancelled":
-                tell("aborted", Convergence(), RosJointState())
+                publish("aborted", Convergence(), RosJointState())
             raise
 
     def move(self, run: Run) -> str:
@@ -89,16 +89,16 @@ class ClosedLoop:
             raise InvalidRequest("there is no goal; fill in target_pose", field="target_pose")
         kind = self._generation.types["action/MpcMove"].Feedback
 
-        def tell(_: str, convergence: Convergence, joint_command: RosJointState) -> None:
+        def publish(_: str, convergence: Convergence, joint_command: RosJointState) -> None:
             run.handle.publish_feedback(kind(joint_command=joint_command, step_progression=convergence.progress))
 
-        return self._follow(run, LiveTarget(pose_of(target, "target_pose"), timed=False), tell, ends_on_target=True)
+        return self._follow(run, LiveTarget(pose_of(target, "target_pose"), timed=False), publish, ends_on_target=True)
 
     def _follow(
         self,
         run: Run,
         live: LiveTarget,
-        tell: Callable[[str, Convergence, RosJointState], None],
+        publish: Callable[[str, Convergence, RosJointState], None],
         *,
         ends_on_target: bool,
     ) -> str:
@@ -120,7 +120,7 @@ class ClosedLoop:
                     state = "on_target" if convergence.on_target else "tracking"
                     if there or state != reported or now - reported_at >= steps.feedback:
                         reported, reported_at = state, now
-                        tell(state, convergence, self._joint_command(tracking))
+                        publish(state, convergence, self._joint_command(tracking))
                     if there:
                         return f"Target reached: {_left(convergence)}"
                     if ends_on_target and now - began > steps.most * steps.step:

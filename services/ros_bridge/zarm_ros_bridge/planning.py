@@ -42,9 +42,9 @@ class Planning:
         generation, motions = self._generation, self._motions
         check_plans(motions.planner)
         asked = generation.motion(request, motions.planner, self._engine.joints)
-        generation.tell_selected(response, asked, None, ())
+        generation.set_selected(response, asked, None, ())
         plan = motions.plan(asked, self._engine.client.request_plan)
-        generation.tell_selected(response, asked, plan, motions.passed(asked, plan))
+        generation.set_selected(response, asked, plan, motions.passed(asked, plan))
         dt = self._engine.robot.descriptor.interpolation_dt
         response.trajectory, response.dt = ros_joint_states(plan.trajectory, dt), dt
         return (

@@ -165,7 +165,7 @@ class ServoCommands:
             if newest is not None and now - newest.time < STALE:
                 newest.send(session)
                 last = newest.time
-            self._tell_of(session.state)
+            self._report_of(session.state)
             if now - last > SESSION_SECONDS or (now - last > STALE and self._others(topic)):
                 return
             newest = self._next(topic, _REPORT_PERIOD)
@@ -193,7 +193,7 @@ class ServoCommands:
         while self._next(timeout=RELEASE_SECONDS) is not None:
             pass
 
-    def _tell_of(self, state: ServoSession | None) -> None:
+    def _report_of(self, state: ServoSession | None) -> None:
         if state is not None and state.refused is not None:
             self._report(INVALID, state.refused.message)
         elif state is not None:

@@ -153,7 +153,7 @@ class Session:
         self._used = time.monotonic()
         self._snapshot = Snapshot()
         self._goal: GoalState | None = None
-        self._heard_at = self._reported_at = self._used
+        self._received_at = self._reported_at = self._used
         self._reported = threading.Event()
         self._done = threading.Event()
         self._closing = self._held = False
@@ -202,8 +202,8 @@ class Session:
 
     def on_goal(self, goal: GoalState) -> None:
         """Take a state of the stream from the executor."""
-        self._heard_at = time.monotonic()
-        self._clock.receive(goal, self._heard_at)
+        self._received_at = time.monotonic()
+        self._clock.receive(goal, self._received_at)
         self._goal = goal
         self._held = goal.status == "paused"
         if goal.status != "accepted":
@@ -293,7 +293,7 @@ class Session:
         goal = self._goal
         if self._held or (goal is not None and goal.done):
             return False
-        if time.monotonic() - self._heard_at > _EXECUTOR_TIMEOUT:
+        if time.monotonic() - self._received_at > _EXECUTOR_TIMEOUT:
             log.warning("the executor reports nothing about the session goal_id=%s", self.goal_id)
             return False
         return not self._closing or self._snapshot.moving

@@ -30,7 +30,7 @@ SOONEST, LATEST = 0.01, 0.5
 """Interval (s) after the previous request in which a request counts: one that comes sooner was held up, one that comes
 later is the first.
 """
-_TOLD = 3.0  # least time (s) between two notices that the robot is taken
+_REPORT_PERIOD = 3.0  # least time (s) between two notices that the robot is taken
 
 Kind = Literal["jog", "track"]
 Send = Callable[[Jogging | Tracking], None]
@@ -76,7 +76,7 @@ class Jogger:
         now = time.monotonic()
         with self._changed:
             if self._owner not in (None, client.client_id):
-                if now - self._reported > _TOLD:
+                if now - self._reported > _REPORT_PERIOD:
                     self._reported = now
                     client.add_notification("Somebody else jogs", "Try again when they have let go.", color="orange")
                 return
@@ -102,7 +102,7 @@ class Jogger:
                 with robot.jog() if kind == "jog" else robot.track() as session:
                     self._lead(session, kind)
             except ZarmError as error:
-                self._panels.tell(f"jog: {error.problem.code}", str(error), colour="red")
+                self._panels.notify(f"jog: {error.problem.code}", str(error), colour="red")
                 with self._changed:
                     self._until = 0.0
             except Exception:

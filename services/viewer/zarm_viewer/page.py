@@ -186,7 +186,7 @@ class _Part:
         if error is None:
             self.panels.note("**stop**")
         else:
-            self.panels.tell(f"{name} was not told to stop", str(error), colour="red")
+            self.panels.notify(f"{name} was not told to stop", str(error), colour="red")
 
     def draw(self) -> None:
         """Show what has changed."""

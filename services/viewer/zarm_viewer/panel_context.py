@@ -71,15 +71,15 @@ class PanelContext:
         try:
             work()
         except ZarmError as error:
-            self.tell(f"{what}: {error.problem.code}", str(error), client, "red")
+            self.notify(f"{what}: {error.problem.code}", str(error), client, "red")
             return False
         except Exception as error:
             log.exception("failed action=%s", what.replace(" ", "_"))
-            self.tell(f"{what} failed", f"{type(error).__name__}; the log of the viewer has the trace", client, "red")
+            self.notify(f"{what} failed", f"{type(error).__name__}; the log of the viewer has the trace", client, "red")
             return False
         return True
 
-    def tell(self, title: str, body: str, client: ClientHandle | None = None, colour: str = "blue") -> None:
+    def notify(self, title: str, body: str, client: ClientHandle | None = None, colour: str = "blue") -> None:
         """Show a note on the page of `client`, or on all pages, and in the event log."""
         self.note(f"**{title}** {body}")
         for page in [client] if client is not None else self.server.get_clients().values():

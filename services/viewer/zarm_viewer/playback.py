@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from zarm.record_story import Story, tell
+from zarm.record_story import Story, summarize
 from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
@@ -33,7 +33,7 @@ class Playback:
     def __init__(self, file: Path) -> None:
         entries = list(read_record(file))
         self.file = file
-        self.story: Story = tell(entries)
+        self.story: Story = summarize(entries)
         self.speed = 1.0
         self._keys = Keys(self.story.robot)
         self._recorded = Recorded(self._keys)

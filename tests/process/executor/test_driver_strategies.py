@@ -279,8 +279,8 @@ def driver_that_never_tells_of_the_end(bus: Bus) -> Iterator[None]:
     side, ended = BusSide(bus, KEYS, Axes.of(ROBOT.descriptor)), threading.Event()
     driver = LeelooDriver(
         Player(HOME),
-        side.tell_joints,
-        lambda reported: None if reported.fraction > 0.99 else side.tell_progress(reported),
+        side.publish_joints,
+        lambda reported: None if reported.fraction > 0.99 else side.publish_progress(reported),
     )
     side.listen(driver.play)
     thread = threading.Thread(target=driver.run, args=(ended,))

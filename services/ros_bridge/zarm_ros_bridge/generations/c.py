@@ -36,7 +36,7 @@ class GenerationC(GenerationB):
         """As `motion`."""
         return self.motion(goal, planner, joints) if filled(goal, _FIELDS) else None
 
-    def tell_selected(self, response: Any, asked: MotionRequest, plan: Plan | None, passed: Sequence[int]) -> None:
+    def set_selected(self, response: Any, asked: MotionRequest, plan: Plan | None, passed: Sequence[int]) -> None:
         """The index of the chosen pose in each goal set; -1 for one that is not reached."""
         response.selected_goal_index = asked.selected(plan, passed)
 

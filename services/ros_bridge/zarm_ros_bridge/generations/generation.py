@@ -64,7 +64,7 @@ class Generation(ABC):
         InvalidRequest.
         """
 
-    def tell_selected(  # noqa: B027  what most have nothing to tell
+    def set_selected(  # noqa: B027  what most have nothing to tell
         self, response: Any, asked: MotionRequest, plan: Plan | None, passed: Sequence[int]
     ) -> None:
         """Put into the response of generate_trajectory which poses of its goal sets are reached; without a plan, none.
