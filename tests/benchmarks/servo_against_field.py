@@ -36,7 +36,7 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.handlers import Handlers
 from zarm_servo.kernels.step import PERIOD
-from zarm_servo.targets import PoseTarget, rotation_vector
+from zarm_servo.tracking.targets import PoseTarget, rotation_vector
 from zarm_trajectory.limits import Limits
 
 matplotlib.use("Agg")

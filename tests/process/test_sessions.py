@@ -32,7 +32,7 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
-from zarm_servo.session import CHUNK
+from zarm_servo.tracking.session import CHUNK
 
 MODEL = RobotModel.of(ROBOT)
 MARGIN = 0.01

@@ -15,12 +15,12 @@ from zarm_contract.messages import Cuboid, Voxels
 from zarm_contract.robot import load_robot
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
-from zarm_servo.check import Checker, SceneCheck
-from zarm_servo.controller import Controller
 from zarm_servo.kernels.nearest import nearest_time
-from zarm_servo.moving_objects import Mover
-from zarm_servo.scene_monitor import SceneSnapshot
-from zarm_servo.targets import TwistTarget
+from zarm_servo.tracking.controller import Controller
+from zarm_servo.tracking.targets import TwistTarget
+from zarm_servo.world.check import Checker, SceneCheck
+from zarm_servo.world.moving_objects import Mover
+from zarm_servo.world.scene_monitor import SceneSnapshot
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
 

@@ -44,11 +44,12 @@ from zarm_executor.monitor import Monitor
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.metrics import Metrics
-from zarm_servo import guard as guard_module
-from zarm_servo import session as session_module
-from zarm_servo.check import Checker, SceneCheck
-from zarm_servo.guard import Guard
-from zarm_servo.session import Session
+from zarm_servo.guarding import guard as guard_module
+from zarm_servo.guarding.guard import Guard
+from zarm_servo.tracking import session as session_module
+from zarm_servo.tracking.session import Session, SessionConfig
+from zarm_servo.world.check import Checker, SceneCheck
+from zarm_servo.world.world_monitor import WorldMonitor
 from zarm_trajectory.blending import blended
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -136,8 +137,19 @@ class _Run:
         measured: Any = SimpleNamespace(get=lambda max_age=1.0: self._measured())
         authorities: Any = SimpleNamespace(put=lambda said: self._post(lambda: self._hear(said)))
         nothing: Any = SimpleNamespace(set=lambda _: None)
-        self._guard = Guard(robot, cell.checker, MESHES, measured, authorities, nothing, "servo", Metrics())
-        self._guard.monitor.on_scene("", Scene(revision=SCENE, objects=(self._item,)))
+        self._world = WorldMonitor(measured, MESHES)
+        self._guard = Guard(
+            robot,
+            cell.checker,
+            self._world,
+            authorities,
+            nothing,
+            "servo",
+            Metrics(),
+            session=lambda: None,
+            validity=lambda *_: None,
+        )
+        self._world.scene.on_scene("", Scene(revision=SCENE, objects=(self._item,)))
         self._killed_at = clock.now + rng.uniform(0.1, 2.5) if dies else np.inf
         self._due = clock.now
         self._tell_pose(at_once=True)
@@ -147,8 +159,8 @@ class _Run:
         if mode == "session":
             chunks: Any = SimpleNamespace(put=lambda chunk: self._post(lambda: self._stream(chunk)))
             self._session = Session(
-                "servo-1", ServoStart(margin=0.01), ROBOT, cell.check, self._guard.monitor, self._guard.moving, measured, chunks,
-                start, 0.0, lambda: None, _no_plan, Metrics(),
+                "servo-1", ServoStart(margin=0.01), SessionConfig(ROBOT, cell.check, self._world, chunks, _no_plan, Metrics(), lambda: None),
+                start, 0.0,
             )  # fmt: skip
             self._session._put(0.0, TimedTrajectory.standing(start), deadline=1.0)
         else:
@@ -170,7 +182,7 @@ class _Run:
         trajectory = TimedTrajectory.of(message, _JOINTS)
         goal = Goal("goal-1", None, trajectory, Monitor(trajectory, self._bench.robot), SCENE)
         reported = GoalTrajectory(goal_id="goal-1", number=1, start=0.0, trajectory=message, scene_revision=SCENE)
-        self._guard.on_trajectory("", reported)
+        self._guard.on_trajectory(reported)
         self._guard._goals._running = "goal-1"
         self._guard._check()
         while self._mail:
@@ -253,7 +265,7 @@ class _Run:
         payload = encode(message)
 
         def update_object() -> None:
-            self._guard.moving.update_object("box", payload, self._time.now, _UNIX + self._time.now)
+            self._world.moving.update_object("box", payload, self._time.now, _UNIX + self._time.now)
 
         if at_once:
             update_object()
@@ -319,7 +331,7 @@ class _Run:
 
     def _tell_goal(self, goal: GoalState) -> None:
         session, guard = self._session, self._guard
-        self._post(lambda: guard.on_goal("", goal) if session is None else session.on_goal(goal))
+        self._post(lambda: guard.on_goal(goal) if session is None else session.on_goal(goal))
 
     def _servo(self, step: int) -> None:
         session = self._session

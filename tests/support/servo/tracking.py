@@ -18,11 +18,11 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
-from zarm_servo.controller import Controller, Step
-from zarm_servo.global_plan import GlobalPlan, find_global_plan
-from zarm_servo.local_goal import LocalGoal
-from zarm_servo.session import soft
-from zarm_servo.targets import JointTarget, PoseTarget
+from zarm_servo.tracking.controller import Controller, Step
+from zarm_servo.tracking.global_plan import GlobalPlan, find_global_plan
+from zarm_servo.tracking.local_goal import LocalGoal
+from zarm_servo.tracking.session import soft
+from zarm_servo.tracking.targets import JointTarget, PoseTarget
 from zarm_trajectory.limits import Limits
 
 Array = NDArray[np.float64]

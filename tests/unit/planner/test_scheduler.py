@@ -22,7 +22,7 @@ def client(name: str, timeout: float = PATIENCE) -> Requester:
     return Requester(client=name, timeout=timeout)
 
 
-class PanelContext:
+class Bench:
     """Asks for work in threads; `begun` are the names of what has begun, in order, and each ends when it is told to."""
 
     def __init__(self, slots: int, pool: ThreadPoolExecutor) -> None:
@@ -67,9 +67,9 @@ class PanelContext:
 
 
 @contextmanager
-def panels(slots: int) -> Iterator[PanelContext]:
+def bench(slots: int) -> Iterator[Bench]:
     with ThreadPoolExecutor(32) as pool:
-        one = PanelContext(slots, pool)
+        one = Bench(slots, pool)
         try:
             yield one
         finally:
@@ -78,7 +78,7 @@ def panels(slots: int) -> Iterator[PanelContext]:
 
 def test_who_has_nothing_running_is_next_and_then_clients_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scheduler, "LONG", PATIENCE)
-    with panels(2) as one:
+    with bench(2) as one:
         for name in ("a1", "a2", "a3", "a4", "a5", "b1", "c1", "b2"):
             one.ask(name)
         one.has_begun("a1", "a2")
@@ -90,7 +90,7 @@ def test_who_has_nothing_running_is_next_and_then_clients_take_turns(monkeypatch
 
 def test_long_work_keeps_its_slot_from_its_own_client_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scheduler, "LONG", 0.0)
-    with panels(1) as one:
+    with bench(1) as one:
         for name in ("a1", "a2", "b1", "b2"):
             one.ask(name)
         one.has_begun("a1", "b1")
@@ -99,7 +99,7 @@ def test_long_work_keeps_its_slot_from_its_own_client_alone(monkeypatch: pytest.
 
 
 def test_optimisation_gives_way_to_what_its_own_client_asks_for() -> None:
-    with panels(1) as one:
+    with bench(1) as one:
         first = one.ask("a1", until="asked")
         one.ask("a2")
         assert first.result(PATIENCE) == "a1 gave way"
@@ -109,7 +109,7 @@ def test_optimisation_gives_way_to_what_its_own_client_asks_for() -> None:
 def test_what_was_given_its_turn_between_two_looks_at_it_has_nobody_give_way(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Deadline] = []
     monkeypatch.setattr(Deadline, "give_way", asked.append)
-    with panels(1) as one:
+    with bench(1) as one:
         only = one.ask("a1")
         one.has_begun("a1")
         (job,) = one.running._jobs
@@ -123,7 +123,7 @@ def test_optimisation_gives_way_to_clients_that_run_less_and_not_to_those_that_r
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(scheduler, "LONG", PATIENCE)
-    with panels(2) as one:
+    with bench(2) as one:
         greedy, modest = one.ask("a1"), one.ask("b1", until="asked")
         waiting = one.ask("a2", timeout=0.2)
         with pytest.raises(DeadlineExceeded):
@@ -137,7 +137,7 @@ def test_optimisation_gives_way_to_clients_that_run_less_and_not_to_those_that_r
 
 
 def test_what_nobody_waits_for_any_longer_does_not_begin() -> None:
-    with panels(1) as one:
+    with bench(1) as one:
         one.ask("a1")
         impatient = one.ask("a2", requester=client("a", timeout=0.1))
         with pytest.raises(DeadlineExceeded):
@@ -147,7 +147,7 @@ def test_what_nobody_waits_for_any_longer_does_not_begin() -> None:
 
 def test_all_that_a_client_has_in_hand_ends_when_it_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scheduler, "LONG", PATIENCE)
-    with panels(1) as one:
+    with bench(1) as one:
         left = [one.ask("a1"), one.ask("a2")]
         stays = one.ask("b1")
         one.running.leave("a")
@@ -160,7 +160,7 @@ def test_all_that_a_client_has_in_hand_ends_when_it_leaves(monkeypatch: pytest.M
 
 
 def test_what_a_client_has_sent_before_it_left_ends_as_well_and_what_it_sends_when_it_is_back_does_not() -> None:
-    with panels(1) as one:
+    with bench(1) as one:
         one.running.leave("a")
         with pytest.raises(Cancelled):
             one.ask("a1").result(PATIENCE)
@@ -171,7 +171,7 @@ def test_what_a_client_has_sent_before_it_left_ends_as_well_and_what_it_sends_wh
 
 
 def test_a_cancel_ends_what_runs_and_what_waits_under_its_name() -> None:
-    with panels(1) as one:
+    with bench(1) as one:
         for answer, name in [(one.ask("a1"), "a1"), (one.ask("a2"), "a2")]:
             assert one.running.cancel(name)
             with pytest.raises(Cancelled):
@@ -179,7 +179,7 @@ def test_a_cancel_ends_what_runs_and_what_waits_under_its_name() -> None:
 
 
 def test_a_cancel_that_overtakes_its_request_ends_it_and_no_other() -> None:
-    with panels(1) as one:
+    with bench(1) as one:
         assert not one.running.cancel("a1")
         other = one.ask("a2")
         with pytest.raises(Cancelled):

@@ -9,10 +9,10 @@ from support.trajectories import HOME, RATE_LIMITS, ROBOT, rest_to_rest
 from zarm_contract.messages import Attached, Cuboid, SceneObject
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
-from zarm_servo.check import Checker
-from zarm_servo.moving_objects import Mover
-from zarm_servo.scene_monitor import SceneSnapshot
-from zarm_servo.stopping import StoppingTime
+from zarm_servo.guarding.stopping import StoppingTime
+from zarm_servo.world.check import Checker
+from zarm_servo.world.moving_objects import Mover
+from zarm_servo.world.scene_monitor import SceneSnapshot
 from zarm_trajectory.follower import Follower
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -59,7 +59,7 @@ def test_what_has_not_changed_since_it_was_verified_is_not_looked_at_again(check
 def test_links_that_pass_one_another_closely_as_verified_do_not_hold_the_robot_when_the_scene_changes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("zarm_servo.check.CONTACT", 0.05)  # the M1013 has 16 mm at home
+    monkeypatch.setattr("zarm_servo.world.check.CONTACT", 0.05)  # the M1013 has 16 mm at home
     monkeypatch.setattr("zarm_geometry.situation._LEAST_KEPT", 0.05)  # and is to keep it, though it never can
     checker = Checker(MODEL, Meshes())
     far = POST.model_copy(update={"position": (-1.5, 0.0, 0.0)})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from zarm_contract.messages import GoalState, GoalStatus
-from zarm_servo.clock import StreamClock
+from zarm_servo.tracking.clock import StreamClock
 
 
 def goal(time: float, status: GoalStatus = "running") -> GoalState:

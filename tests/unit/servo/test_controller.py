@@ -16,9 +16,9 @@ from zarm_geometry.exact import ExactScene
 from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
-from zarm_servo.controller import STALE, Controller, Step
 from zarm_servo.kernels.step import PERIOD
-from zarm_servo.targets import JointSpeedTarget, JointTarget, PoseTarget, Target, TwistTarget
+from zarm_servo.tracking.controller import STALE, Controller, Step
+from zarm_servo.tracking.targets import JointSpeedTarget, JointTarget, PoseTarget, Target, TwistTarget
 from zarm_trajectory.limits import Limits
 
 Array = NDArray[np.float64]

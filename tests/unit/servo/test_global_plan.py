@@ -7,8 +7,8 @@ import pytest
 
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import Plan, PlanRequest
-from zarm_servo.global_plan import find_global_plan
-from zarm_servo.targets import JointTarget
+from zarm_servo.tracking.global_plan import find_global_plan
+from zarm_servo.tracking.targets import JointTarget
 
 MARGIN = 0.03
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from zarm_contract.messages import JointSpeedTarget, PoseTarget, ServoTarget, TwistTarget
-from zarm_servo import targets
-from zarm_servo.inbox import Inbox
+from zarm_servo.tracking import targets
+from zarm_servo.tracking.inbox import Inbox
 
 OFF = 5e8
 """The clock of the client is years off."""

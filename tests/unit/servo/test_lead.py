@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from zarm_servo.lead import LONGEST, SHORTEST, Lead
+from zarm_servo.guarding.lead import LONGEST, SHORTEST, Lead
 
 
 def lead_after(*took: float) -> Lead:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from zarm_contract.errors import DeadlineExceeded, PlanningFailed
 from zarm_contract.robot import load_robot
 from zarm_geometry.robot_model import RobotModel
-from zarm_servo.global_plan import GlobalPlan
-from zarm_servo.local_goal import LocalGoal
-from zarm_servo.targets import JointTarget, PoseTarget, Target, TwistTarget
+from zarm_servo.tracking.global_plan import GlobalPlan
+from zarm_servo.tracking.local_goal import LocalGoal
+from zarm_servo.tracking.targets import JointTarget, PoseTarget, Target, TwistTarget
 
 Array = NDArray[np.float64]
 T = TypeVar("T")

@@ -9,8 +9,8 @@ import pytest
 
 from zarm_contract.messages import Cuboid, Mesh, ObjectPose, Scene, SceneObject, Sphere, Voxels
 from zarm_geometry.meshes import Meshes
-from zarm_servo.moving_objects import AGREE, LOST, MovingObjects
-from zarm_servo.scene_monitor import SceneMonitor
+from zarm_servo.world.moving_objects import AGREE, LOST, MovingObjects
+from zarm_servo.world.scene_monitor import SceneMonitor
 
 NOW, WALL = 50.0, 1.75e9
 BOX = Cuboid(kind="cuboid", name="box", position=(1.0, 0.0, 0.0), size=(0.2, 0.2, 0.2))

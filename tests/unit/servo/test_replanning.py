@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -31,17 +32,19 @@ from zarm_contract.messages import (
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.metrics import Metrics
-from zarm_servo.check import Checker
-from zarm_servo.lead import LONGEST, SHORTEST
-from zarm_servo.moving_objects import MovingObjects
-from zarm_servo.replanning import Replanner
-from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
+from zarm_servo.guarding.lead import LONGEST, SHORTEST
+from zarm_servo.guarding.replanning import Replanner
+from zarm_servo.world.check import Checker
+from zarm_servo.world.goal_monitor import FollowedGoal
+from zarm_servo.world.scene_monitor import SceneSnapshot
+from zarm_servo.world.world_monitor import WorldMonitor
 from zarm_trajectory.trajectory import TimedTrajectory
 
 JOINTS = ROBOT.descriptor.joints
 WAY = rest_to_rest(moved(0.8), slower=2.0)
 PATH = TimedTrajectory.of(WAY, JOINTS)
 FOLLOWED = GoalTrajectory(goal_id="goal-1", number=1, start=0.0, trajectory=WAY, scene_revision=SCENE, replan=True)
+FOLLOWED_GOAL = FollowedGoal(FOLLOWED, PATH, since=0.0, commanded=0.0, reported=0.0)
 TIMINGS = PlanTimings(ik=0, search=0, shortcut=0, timing=0, verify=0, optimize=0, total=0)
 PLAN = Plan(
     plan_id="p-1",
@@ -67,7 +70,7 @@ class Standing:
         return JointState(stamp=max_age, joint_names=JOINTS, position=tuple(HOME), velocity=(speed,) * len(JOINTS))
 
 
-class PanelContext:
+class Peers:
     """Planner and executor as the test has them answer; what they were asked."""
 
     def __init__(self) -> None:
@@ -76,9 +79,8 @@ class PanelContext:
         self.planner: Callable[[], Plan] = lambda: PLAN
         self.executor: Callable[[], None] = lambda: None
         self.measured = Standing()
-        self.monitor = SceneMonitor(lambda: None)
-        self.monitor.on_scene("", Scene(revision=SCENE))
-        self.moving = MovingObjects(self.monitor, Meshes(), lambda: None)
+        self.world = WorldMonitor(self.measured, Meshes())  # type: ignore[arg-type]
+        self.world.scene.on_scene("", Scene(revision=SCENE))
         self.lock = threading.Lock()
 
     def ask(self, request: PlanRequest, _deadline: float) -> Plan:
@@ -103,8 +105,8 @@ def goal(progress: float, *, held: bool = False) -> GoalState:
 
 
 @pytest.fixture
-def panels() -> PanelContext:
-    return PanelContext()
+def peers() -> Peers:
+    return Peers()
 
 
 @pytest.fixture(scope="module")
@@ -117,11 +119,9 @@ def checker() -> Checker:
 
 
 @pytest.fixture
-def replanner(panels: PanelContext, checker: Checker) -> Iterator[Replanner]:
-    with Replanner(
-        ROBOT, checker, panels.monitor, panels.moving, panels.measured, panels.ask, panels.replace, Metrics()
-    ) as running:
-        running.on_goal("", goal(0.2))
+def replanner(peers: Peers, checker: Checker) -> Iterator[Replanner]:
+    with Replanner(ROBOT, checker, peers.world, peers.ask, peers.replace, Metrics()) as running:
+        running.on_goal(goal(0.2))
         yield running
 
 
@@ -130,11 +130,11 @@ def refuse() -> None:
 
 
 def test_a_blocked_goal_is_planned_from_a_state_ahead_to_its_end_no_faster_than_it_was(
-    panels: PanelContext, replanner: Replanner
+    peers: Peers, replanner: Replanner
 ) -> None:
-    replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
-    (replaced,) = eventually(lambda: list(panels.replaced), "the trajectory is replaced")
-    (request,) = panels.asked
+    replanner.on_validity(FOLLOWED_GOAL, PATH.duration - 0.1)
+    (replaced,) = eventually(lambda: list(peers.replaced), "the trajectory is replaced")
+    (request,) = peers.asked
     assert replaced.at is not None
     assert (replaced.goal_id, replaced.number, replaced.scene_revision) == ("goal-1", 1, SCENE)
     assert replaced.at >= 0.2 * PATH.duration + SHORTEST
@@ -146,92 +146,92 @@ def test_a_blocked_goal_is_planned_from_a_state_ahead_to_its_end_no_faster_than_
 
 
 def test_a_pose_that_other_joints_reach_is_gone_to_where_something_stands_at_the_joints(
-    panels: PanelContext, replanner: Replanner
+    peers: Peers, replanner: Replanner
 ) -> None:
     def planner() -> Plan:
-        if panels.asked[-1].goal.kind == "joints":
+        if peers.asked[-1].goal.kind == "joints":
             raise PlanningFailed("something stands there", code="goal_in_collision")
         return PLAN
 
-    panels.planner = planner
+    peers.planner = planner
     tip = Pose(position=(0.4, 0.0, 0.6))
-    replanner.see(FOLLOWED.model_copy(update={"tip": tip}), PATH, PATH.duration - 0.1)
-    eventually(lambda: panels.replaced, "the trajectory is replaced")
-    goal = panels.asked[-1].goal
+    replanner.on_validity(replace(FOLLOWED_GOAL, message=FOLLOWED.model_copy(update={"tip": tip})), PATH.duration - 0.1)
+    eventually(lambda: peers.replaced, "the trajectory is replaced")
+    goal = peers.asked[-1].goal
     assert isinstance(goal, PoseGoal)
     assert goal.poses == (tip,)
 
 
 def test_what_comes_too_late_is_planned_again_from_a_later_state_and_then_the_robot_stops_first(
-    panels: PanelContext, replanner: Replanner
+    peers: Peers, replanner: Replanner
 ) -> None:
-    panels.executor = refuse
-    replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
-    eventually(lambda: len(panels.asked) == 4, "it was tried four times")
-    leads = [request.timeout for request in panels.asked]
+    peers.executor = refuse
+    replanner.on_validity(FOLLOWED_GOAL, PATH.duration - 0.1)
+    eventually(lambda: len(peers.asked) == 4, "it was tried four times")
+    leads = [request.timeout for request in peers.asked]
     assert leads == sorted(leads)
     assert leads[-1] <= LONGEST
-    panels.executor = lambda: None
-    panels.measured.rests = True
-    replanner.on_goal("", goal(0.5, held=True))
+    peers.executor = lambda: None
+    peers.measured.rests = True
+    replanner.on_goal(goal(0.5, held=True))
 
     def again() -> list[ReplaceTrajectory]:
-        replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
-        return panels.replaced
+        replanner.on_validity(FOLLOWED_GOAL, PATH.duration - 0.1)
+        return peers.replaced
 
     (replaced,) = eventually(again, "it is replaced at rest")
     assert replaced.at is None
-    assert panels.asked[-1].start_state is None
+    assert peers.asked[-1].start_state is None
 
 
 @pytest.mark.parametrize(
     "failure", [PlanningFailed("no way", code="no_path"), DeadlineExceeded("slow", code="timeout")]
 )
-def test_without_a_plan_nothing_is_replaced(panels: PanelContext, replanner: Replanner, failure: Exception) -> None:
+def test_without_a_plan_nothing_is_replaced(peers: Peers, replanner: Replanner, failure: Exception) -> None:
     def fail() -> Plan:
         raise failure
 
-    panels.planner = fail
-    replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
-    eventually(lambda: panels.asked, "the planner was asked")
-    assert not panels.replaced
+    peers.planner = fail
+    replanner.on_validity(FOLLOWED_GOAL, PATH.duration - 0.1)
+    eventually(lambda: peers.asked, "the planner was asked")
+    assert not peers.replaced
 
 
-def test_a_plan_that_is_not_free_in_a_newer_scene_is_not_followed(panels: PanelContext, replanner: Replanner) -> None:
+def test_a_plan_that_is_not_free_in_a_newer_scene_is_not_followed(peers: Peers, replanner: Replanner) -> None:
     def overtaken() -> Plan:
         middle = RobotModel.of(ROBOT).fk_tip(PATH.positions(np.array([PATH.duration / 2]))[0])[:3, 3]
         ball = Sphere(kind="sphere", name="ball", position=tuple(middle.tolist()), radius=0.1)
         newer = f"{int(SCENE.partition('-')[0]) + 1}-{SCENE.partition('-')[2]}"
-        panels.monitor.on_scene("", Scene(revision=newer, objects=(ball,)))
+        peers.world.scene.on_scene("", Scene(revision=newer, objects=(ball,)))
         return PLAN
 
-    panels.planner = overtaken
-    replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
-    eventually(lambda: len(panels.asked) > 1, "it was tried again")
-    assert not panels.replaced
+    peers.planner = overtaken
+    replanner.on_validity(FOLLOWED_GOAL, PATH.duration - 0.1)
+    eventually(lambda: len(peers.asked) > 1, "it was tried again")
+    assert not peers.replaced
 
 
-def test_a_plan_that_is_not_free_of_what_moves_is_not_followed(panels: PanelContext, replanner: Replanner) -> None:
+def test_a_plan_that_is_not_free_of_what_moves_is_not_followed(peers: Peers, replanner: Replanner) -> None:
     ball = Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 9.0), radius=0.1)
-    panels.monitor.on_scene("", Scene(revision=SCENE, objects=(ball,)))
+    peers.world.scene.on_scene("", Scene(revision=SCENE, objects=(ball,)))
     middle = RobotModel.of(ROBOT).fk_tip(PATH.positions(np.array([PATH.duration / 2]))[0])[:3, 3]
     pose = ObjectPose(stamp=time.time(), position=tuple(middle.tolist()), speed=0.1)
-    panels.moving.update_object("ball", encode(pose), time.monotonic(), time.time())
-    replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
-    eventually(lambda: len(panels.asked) > 1, "it was tried again")
-    assert not panels.replaced
+    peers.world.moving.update_object("ball", encode(pose), time.monotonic(), time.time())
+    replanner.on_validity(FOLLOWED_GOAL, PATH.duration - 0.1)
+    eventually(lambda: len(peers.asked) > 1, "it was tried again")
+    assert not peers.replaced
 
 
 def test_a_goal_that_is_blocked_before_a_plan_could_take_over_is_not_planned_in_motion(
-    panels: PanelContext, replanner: Replanner
+    peers: Peers, replanner: Replanner
 ) -> None:
-    panels.measured.rests = True
-    replanner.on_goal("", goal(0.2, held=True))
-    replanner.see(FOLLOWED, PATH, 0.2 * PATH.duration)
+    peers.measured.rests = True
+    replanner.on_goal(goal(0.2, held=True))
+    replanner.on_validity(FOLLOWED_GOAL, 0.2 * PATH.duration)
 
     def again() -> list[ReplaceTrajectory]:
-        replanner.see(FOLLOWED, PATH, 0.2 * PATH.duration)
-        return panels.replaced
+        replanner.on_validity(FOLLOWED_GOAL, 0.2 * PATH.duration)
+        return peers.replaced
 
     (replaced,) = eventually(again, "it is replaced at rest")
     assert replaced.at is None

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from zarm_contract.messages import Scene, Sphere
-from zarm_servo.scene_monitor import EARLY, REMEMBERED, SceneMonitor
+from zarm_servo.world.scene_monitor import EARLY, REMEMBERED, SceneMonitor
 
 
 def ball(name: str, x: float = 1.0) -> Sphere:

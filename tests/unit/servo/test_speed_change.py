@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from support.examples import examples
-from zarm_servo.speed_change import SpeedChange
+from zarm_servo.tracking.speed_change import SpeedChange
 
 JOINTS = 5
 STEP = 0.001

@@ -9,11 +9,11 @@ from support.trajectories import ROBOT
 from zarm_executor.checks import continuation
 from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
-from zarm_servo.controller import Controller
 from zarm_servo.kernels.step import PERIOD
-from zarm_servo.session import CHUNK, soft
-from zarm_servo.streamed_trajectory import REST, StreamedTrajectory
-from zarm_servo.targets import Target, TwistTarget
+from zarm_servo.tracking.controller import Controller
+from zarm_servo.tracking.session import CHUNK, soft
+from zarm_servo.tracking.streamed_trajectory import REST, StreamedTrajectory
+from zarm_servo.tracking.targets import Target, TwistTarget
 from zarm_trajectory.blending import blended
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory

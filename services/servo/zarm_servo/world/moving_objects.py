@@ -18,7 +18,7 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.situation import MovingObject
 from zarm_geometry.world import convex_shapes
 from zarm_servo.refusal import Refusal
-from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
+from zarm_servo.world.scene_monitor import SceneMonitor, SceneSnapshot
 
 AGREE = 0.02
 """Greatest difference (s) between the clocks of the pose publishers and that of the servo."""

@@ -10,9 +10,9 @@ import numpy as np
 from zarm_contract.errors import Busy, DeadlineExceeded, InternalError, Problem, Unavailable, ZarmError
 from zarm_contract.messages import SceneRevision
 from zarm_geometry.robot_model import RobotModel
-from zarm_servo.global_plan import TIMEOUT, GlobalPlan
 from zarm_servo.kernels.step import PERIOD
-from zarm_servo.targets import JointTarget, PoseTarget, Target, rotation_vector
+from zarm_servo.tracking.global_plan import TIMEOUT, GlobalPlan
+from zarm_servo.tracking.targets import JointTarget, PoseTarget, Target, rotation_vector
 from zarm_trajectory.quintic import Array
 
 Find = Callable[[PoseTarget | JointTarget, Array, float, float], GlobalPlan]

@@ -16,8 +16,8 @@ from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.situation import MotionVerdict, MovingObject
 from zarm_geometry.world import World
-from zarm_servo.moving_objects import Mover
-from zarm_servo.scene_monitor import SceneSnapshot
+from zarm_servo.world.moving_objects import Mover
+from zarm_servo.world.scene_monitor import SceneSnapshot
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 

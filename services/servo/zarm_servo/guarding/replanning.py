@@ -16,7 +16,6 @@ from zarm_contract.messages import (
     GoalState,
     GoalTrajectory,
     JointGoal,
-    JointState,
     Plan,
     PlanRequest,
     PoseGoal,
@@ -24,13 +23,12 @@ from zarm_contract.messages import (
     StartState,
 )
 from zarm_contract.robot import RobotDescription
-from zarm_runtime.bus import Latest
 from zarm_runtime.metrics import Metrics
-from zarm_servo.check import LOOK_AHEAD, Checker
-from zarm_servo.lead import Lead
-from zarm_servo.moving_objects import MovingObjects
-from zarm_servo.scene_monitor import SceneMonitor
-from zarm_servo.stopping import StoppingTime, reaction
+from zarm_servo.guarding.lead import Lead
+from zarm_servo.guarding.stopping import StoppingTime, reaction
+from zarm_servo.world.check import LOOK_AHEAD, Checker
+from zarm_servo.world.goal_monitor import FollowedGoal
+from zarm_servo.world.world_monitor import WorldMonitor
 from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -74,9 +72,7 @@ class Replanner:
         self,
         robot: RobotDescription,
         checker: Checker,
-        monitor: SceneMonitor,
-        moving: MovingObjects,
-        measured: Latest[JointState],
+        world: WorldMonitor,
         ask: Callable[[PlanRequest, float], Plan],
         replace: Callable[[ReplaceTrajectory], object],
         metrics: Metrics,
@@ -87,8 +83,7 @@ class Replanner:
         self._reaction = reaction(robot.descriptor)
         self._ahead = 0.0
         self._checker = checker
-        self._monitor, self._moving = monitor, moving
-        self._measured = measured
+        self._world = world
         self._stopped = robot.descriptor.execution.stopped_velocity
         self._ask, self._replace = ask, replace
         self._metrics = metrics
@@ -103,6 +98,8 @@ class Replanner:
         self._news = threading.Event()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="replanning", daemon=True)
+        world.on_state.append(self._on_state)
+        world.on_goal.append(self.on_goal)
 
     def __enter__(self) -> Replanner:
         self._thread.start()
@@ -115,27 +112,29 @@ class Replanner:
 
     # -- what is heard, from any thread --
 
-    def on_state(self, _key: str, state: ExecutorState) -> None:
+    def _on_state(self, state: ExecutorState) -> None:
         """Take the robot's share of the planned speed, and how far (s) the command is ahead of the reported progress."""
         self._speed_scale, params = state.speed_scale, self._strategy_params
         self._ahead = 0.0 if params is None or state.strategy == "emulator" else params.delay + params.point_dt
 
-    def on_goal(self, _key: str, goal: GoalState) -> None:
+    def on_goal(self, goal: GoalState) -> None:
         """Take a goal's progress."""
         self._goal = None if goal.done else (goal, time.monotonic())
 
-    def see(self, message: GoalTrajectory, trajectory: TimedTrajectory, until: float | None) -> None:
-        """A goal that may be replanned may go up to the path time `until` (s), or to its end if None."""
+    def on_validity(self, followed: FollowedGoal | None, until: float | None) -> None:
+        """A goal that may be replanned may go up to the path time `until` (s), or to its end if None. Without a goal,
+        there is nothing to replan.
+        """
+        if followed is None:
+            self._blocked = None
+            return
+        message, trajectory = followed.message, followed.trajectory
         if message.goal_id != self._pace[0]:
             self._pace = (message.goal_id, *self._used(trajectory))
         if until is None:
             self._stops = None
         self._blocked = None if until is None else Blocked(message, trajectory, until)
         self._news.set()
-
-    def forget(self) -> None:
-        """No goal is to be replanned."""
-        self._blocked = None
 
     # -- the thread --
 
@@ -197,7 +196,7 @@ class Replanner:
             raise
 
     def _rests(self) -> bool:
-        measured = self._measured.get(max_age=_FRESH)
+        measured = self._world.measured.get(max_age=_FRESH)
         return measured is not None and max(map(abs, measured.velocity)) <= self._stopped
 
     def _plan(self, blocked: Blocked, deadline: float, start: StartState | None = None) -> Plan:
@@ -235,8 +234,8 @@ class Replanner:
         whether it does.
         """
         now = time.monotonic()
-        scene, verified = self._monitor.snapshot(now), self._monitor.at(plan.scene_revision)
-        trajectory, movers = TimedTrajectory.of(plan.trajectory, self._joints), self._moving.of(scene)
+        scene, verified = self._world.scene.snapshot(now), self._world.scene.at(plan.scene_revision)
+        trajectory, movers = TimedTrajectory.of(plan.trajectory, self._joints), self._world.moving.of(scene)
         moving = [mover.item.name for mover in movers]
         if self._checker.validity(trajectory, 0.0, scene, verified, moving).until is not None:
             return False

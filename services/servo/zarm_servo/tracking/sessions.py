@@ -16,20 +16,13 @@ from zarm_contract.messages import (
     Accepted,
     ExecutorState,
     GoalState,
-    JointState,
+    GoalTrajectory,
     Nothing,
     ServoEnd,
     ServoStart,
     ServoTarget,
-    StreamChunk,
 )
-from zarm_contract.robot import RobotDescription
-from zarm_runtime.bus import Latest, Publisher
-from zarm_runtime.metrics import Metrics
-from zarm_servo.check import SceneCheck
-from zarm_servo.global_plan import PlanFor
-from zarm_servo.guard import Guard
-from zarm_servo.session import Session
+from zarm_servo.tracking.session import Session, SessionConfig
 from zarm_trajectory.quintic import Array
 
 log = logging.getLogger(__name__)
@@ -43,24 +36,20 @@ _NEWS = 0.5
 class Sessions:
     """The sessions of one robot, one at a time."""
 
-    def __init__(
-        self,
-        robot: RobotDescription,
-        check: SceneCheck,
-        guard: Guard,
-        measured: Latest[JointState],
-        chunks: Publisher[StreamChunk],
-        plan: PlanFor,
-        metrics: Metrics,
-    ) -> None:
-        self._robot, self._check, self._guard = robot, check, guard
-        self._measured, self._chunks = measured, chunks
-        self._plan, self._metrics = plan, metrics
+    def __init__(self, config: SessionConfig) -> None:
+        self._config = config
         self._executor: ExecutorState | None = None
         self._session: Session | None = None
         self._ended: deque[str] = deque(maxlen=32)
         self._lock = threading.Lock()
         self._news = threading.Condition()  # from the executor
+        config.world.on_state.append(self._on_state)
+        config.world.on_goal.append(self._on_goal)
+        config.world.on_trajectory.append(self._on_trajectory)
+
+    def newest(self) -> Session | None:
+        """The session that was opened last, whether it has ended or not."""
+        return self._session
 
     def start(self, request: ServoStart) -> Accepted:
         """Open a session.
@@ -79,28 +68,14 @@ class Sessions:
                 log.info("session taken over goal_id=%s", before.goal_id)
                 before.close()
             executor = self._free_executor()
-            if self._guard.monitor.snapshot(time.monotonic()).revision is None:
+            if self._config.world.scene.snapshot(time.monotonic()).revision is None:
                 raise Unavailable(
                     "the scene is unknown, so collisions could not be avoided; start the planner, then start the session again"
                 )
             goal_id = request.goal_id or f"servo-{secrets.token_hex(8)}"
-            session = Session(
-                goal_id,
-                request,
-                self._robot,
-                self._check,
-                self._guard.monitor,
-                self._guard.moving,
-                self._measured,
-                self._chunks,
-                self._position(),
-                self._delay(executor),
-                self._guard.wake,
-                self._plan,
-                self._metrics,
-            )
+            session = Session(goal_id, request, self._config, self._position(), self._delay(executor))
             session.on_speed(executor)
-            self._session = self._guard.session = session
+            self._session = session
             session.open()
             log.info("session open goal_id=%s margin=%g", goal_id, request.margin)
             return Accepted(goal_id=goal_id)
@@ -125,7 +100,12 @@ class Sessions:
         if message.goal_id == session.goal_id:
             session.inbox.receive(message, now)
 
-    def on_goal(self, _key: str, goal: GoalState) -> None:
+    def _on_trajectory(self, message: GoalTrajectory) -> None:
+        session = self._session
+        if session is not None and session.goal_id == message.goal_id:
+            session.on_trajectory(message)
+
+    def _on_goal(self, goal: GoalState) -> None:
         """Take a goal state from the executor; the executor state that follows it may still be on its way."""
         if goal.done:
             with self._news:
@@ -135,7 +115,7 @@ class Sessions:
         if session is not None and session.goal_id == goal.goal_id:
             session.on_goal(goal)
 
-    def on_state(self, _key: str, state: ExecutorState) -> None:
+    def _on_state(self, state: ExecutorState) -> None:
         """Take the executor's state."""
         with self._news:
             self._executor = state
@@ -170,7 +150,7 @@ class Sessions:
 
     def _position(self) -> Array:
         """The robot's measured position (J,)."""
-        joints, measured = self._robot.descriptor.joints, self._measured.get(max_age=_FRESH)
+        joints, measured = self._config.robot.descriptor.joints, self._config.world.measured.get(max_age=_FRESH)
         if measured is None or set(measured.joint_names) != set(joints):
             raise ExecutionRefused(
                 f"the robot has not reported its joints for {_FRESH:g} s; check that its driver runs",
@@ -180,5 +160,5 @@ class Sessions:
 
     def _delay(self, executor: ExecutorState) -> float:
         """How far (s) the executor expects the robot to be behind the command."""
-        params = self._robot.descriptor.strategy_params
+        params = self._config.robot.descriptor.strategy_params
         return 0.0 if params is None or executor.strategy == "emulator" else params.delay

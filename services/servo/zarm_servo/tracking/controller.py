@@ -28,8 +28,8 @@ from zarm_servo.kernels.step import (
     braked,
     first_free,
 )
-from zarm_servo.speed_change import SpeedChange
-from zarm_servo.targets import Target, wish
+from zarm_servo.tracking.speed_change import SpeedChange
+from zarm_servo.tracking.targets import Target, wish
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from zarm_servo.controller import Step
 from zarm_servo.kernels.step import PERIOD
-from zarm_servo.speed_change import SpeedChange
+from zarm_servo.tracking.controller import Step
+from zarm_servo.tracking.speed_change import SpeedChange
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 

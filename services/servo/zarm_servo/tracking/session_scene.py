@@ -13,11 +13,11 @@ from zarm_contract.errors import ZarmError
 from zarm_contract.messages import SceneRevision
 from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.situation import MovingObject, NearPair
-from zarm_servo.check import SceneCheck
-from zarm_servo.controller import Surroundings
 from zarm_servo.kernels.step import RANGE
-from zarm_servo.moving_objects import MovingObjects
-from zarm_servo.scene_monitor import SceneMonitor
+from zarm_servo.tracking.controller import Surroundings
+from zarm_servo.world.check import SceneCheck
+from zarm_servo.world.moving_objects import MovingObjects
+from zarm_servo.world.scene_monitor import SceneMonitor
 from zarm_trajectory.quintic import Array
 
 log = logging.getLogger(__name__)

@@ -6,29 +6,28 @@ import logging
 import math
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Protocol
 
 from zarm_contract.errors import Problem, ZarmError
 from zarm_contract.messages import (
     Authority,
-    ExecutorState,
     GoalState,
     GoalTrajectory,
-    JointState,
     SceneRevision,
+    ServoSession,
     ServoState,
 )
 from zarm_contract.robot import RobotDescriptor
-from zarm_geometry.meshes import Meshes
-from zarm_runtime.bus import LatchedPublisher, Latest, Publisher
+from zarm_runtime.bus import LatchedPublisher, Publisher
 from zarm_runtime.metrics import Metrics
-from zarm_servo.check import Checker, PathValidity
-from zarm_servo.goal_monitor import FollowedGoal, GoalMonitor
-from zarm_servo.moving_objects import Mover, MovingObjects
-from zarm_servo.replanning import Replanner
-from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
-from zarm_servo.session import Session
-from zarm_servo.stopping import StoppingTime, reaction
+from zarm_servo.guarding.stopping import StoppingTime, reaction
+from zarm_servo.world.check import Checker, PathValidity
+from zarm_servo.world.goal_monitor import FollowedGoal, GoalMonitor
+from zarm_servo.world.moving_objects import Mover
+from zarm_servo.world.scene_monitor import SceneSnapshot
+from zarm_servo.world.world_monitor import WorldMonitor
 from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -42,29 +41,46 @@ _RECHECKED = 0.012
 """After that, the goal is checked again this much later (s) even if no pose arrives."""
 
 
+class OpenSession(Protocol):
+    """A session, as the guard sees it."""
+
+    goal_id: str
+
+    @property
+    def ended(self) -> bool:
+        """Whether the session has ended."""
+
+    @property
+    def revision(self) -> SceneRevision | None:
+        """The scene in which its steps are checked."""
+
+    def state(self) -> ServoSession:
+        """Its current state."""
+
+
 class Guard:
     """Issues authorities, in its own thread while used in `with`. `instance` is that of the service.
 
-    An open `session` checks its own steps: while no other goal runs, its goal has full authority. The `replanner` is
-    told of every goal that may be replanned.
+    `session()` is the newest session, if any. An open one checks its own steps: while no other goal runs, its goal has
+    full authority. `validity(goal, until)` is called after every check of a goal that may be replanned with the path time
+    up to which it may go, None for its end; and with None for both if there is no such goal.
     """
 
     def __init__(
         self,
         descriptor: RobotDescriptor,
         checker: Checker,
-        meshes: Meshes,
-        measured: Latest[JointState],
+        world: WorldMonitor,
         authorities: Publisher[Authority],
         states: LatchedPublisher[ServoState],
         instance: str,
         metrics: Metrics,
+        *,
+        session: Callable[[], OpenSession | None],
+        validity: Callable[[FollowedGoal | None, float | None], object],
     ) -> None:
-        self.monitor = SceneMonitor(self.wake)
-        self.moving = MovingObjects(self.monitor, meshes, self._something_moved)
-        self.session: Session | None = None
-        self.replanner: Replanner | None = None
-        self._goals = GoalMonitor(descriptor.joints, measured)
+        self._world, self._session, self._report_validity = world, session, validity
+        self._goals = GoalMonitor(descriptor.joints, world.measured)
         self._limits, self._reaction = RateLimits.of(descriptor), reaction(descriptor)
         self._checker = checker
         self._authorities = authorities
@@ -72,7 +88,6 @@ class Guard:
         self._instance = instance
         self._metrics = metrics
         self._sequence = 0
-        self._planner_gone = False
         self._state: ServoState | None = None
         self._reported: tuple[Authority, float] | None = None
         self._done: tuple[FollowedGoal, SceneSnapshot, frozenset[str]] | None = None
@@ -82,6 +97,11 @@ class Guard:
         self._news = threading.Event()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="guard", daemon=True)
+        world.on_change.append(self.wake)
+        world.on_move.append(self._something_moved)
+        world.on_state.append(self._goals.on_state)
+        world.on_goal.append(self.on_goal)
+        world.on_trajectory.append(self.on_trajectory)
 
     def __enter__(self) -> Guard:
         self._thread.start()
@@ -102,29 +122,20 @@ class Guard:
         """Run the next check at once."""
         self._news.set()
 
-    def on_trajectory(self, _key: str, message: GoalTrajectory) -> None:
+    def on_trajectory(self, message: GoalTrajectory) -> None:
         """A goal begins, or its trajectory changes."""
-        session = self.session
+        session = self._session()
         if session is not None and message.goal_id == session.goal_id:
-            session.on_trajectory(message)
             if message.number == 1:
                 self.wake()
             return
         self._goals.on_trajectory(message, time.monotonic())
         self.wake()
 
-    def on_goal(self, _key: str, goal: GoalState) -> None:
+    def on_goal(self, goal: GoalState) -> None:
         """Take a goal's progress or result."""
         if self._goals.on_goal(goal, time.monotonic()):
             self.wake()
-
-    def on_state(self, _key: str, state: ExecutorState) -> None:
-        """Note which goal runs."""
-        self._goals.on_state(state)
-
-    def on_planner(self, *, gone: bool) -> None:
-        """Note whether the planner is gone."""
-        self._planner_gone = gone
 
     # -- the thread --
 
@@ -134,7 +145,7 @@ class Guard:
                 self._check()
             except Exception:  # if the guard ended, every goal would silently be unguarded
                 log.exception("the guard failed; it goes on")
-            if self._goals.newest is not None and self.moving:
+            if self._goals.newest is not None and self._world.moving:
                 time.sleep(_PACE)
                 self._news.wait(_RECHECKED)
             else:
@@ -142,11 +153,12 @@ class Guard:
             self._news.clear()
 
     def _check(self) -> None:
-        scene = self.monitor.snapshot(time.monotonic())
+        scene = self._world.scene.snapshot(time.monotonic())
         followed = self._goals.current(time.monotonic())
         validity: PathValidity | ZarmError = PathValidity()
-        movers = self.moving.of(scene)
-        session = self.session if followed is None and self.session is not None and not self.session.ended else None
+        movers = self._world.moving.of(scene)
+        newest = self._session()
+        session = newest if followed is None and newest is not None and not newest.ended else None
         if followed is None:
             self._done = None
         else:
@@ -159,11 +171,10 @@ class Guard:
         if problem is None:
             number = 1 if followed is None else followed.message.number
             self._authorize(goal_id, number, scene.revision, found)
-        if self.replanner is not None:  # first, because it has no time to lose
-            if followed is not None and followed.message.replan and problem is None:
-                self.replanner.see(followed.message, followed.trajectory, found.until)
-            else:
-                self.replanner.forget()
+        if followed is not None and followed.message.replan and problem is None:
+            self._report_validity(followed, found.until)  # before the report, because replanning has no time to lose
+        else:
+            self._report_validity(None, None)
         self._report(goal_id, session, scene, found, problem)
 
     def _authorize(self, goal_id: str | None, number: int, revision: SceneRevision | None, found: PathValidity) -> None:
@@ -216,7 +227,7 @@ class Guard:
         """How far the goal may go if the objects in `moving` are ignored."""
         before = time.perf_counter()
         try:
-            verified = self.monitor.at(followed.message.scene_revision)
+            verified = self._world.scene.at(followed.message.scene_revision)
             return self._checker.validity(
                 followed.trajectory, self._goals.reached(followed, time.monotonic()), scene, verified, moving
             )
@@ -233,7 +244,7 @@ class Guard:
     def _report(
         self,
         goal_id: str | None,
-        session: Session | None,
+        session: OpenSession | None,
         scene: SceneSnapshot,
         validity: PathValidity,
         problem: Problem | None,
@@ -242,13 +253,13 @@ class Guard:
             activity="idle" if goal_id is None else "guarding" if session is None else "following",
             goal_id=goal_id,
             scene_revision=scene.revision,
-            scene_lost=scene.lost or self._planner_gone,
+            scene_lost=scene.lost or self._world.planner_gone,
             until=validity.until,
             obstruction=validity.obstruction,
             problem=problem,
             check=self._took if session is None and goal_id is not None else 0.0,
-            lost_objects=self.moving.lost(time.monotonic()),
-            pose_refused=self.moving.refused,
+            lost_objects=self._world.moving.lost(time.monotonic()),
+            pose_refused=self._world.moving.refused,
             session=None if session is None else session.state(),
         )
         before = self._state

@@ -18,7 +18,6 @@ from zarm_contract.messages import (
     ExecutorState,
     GoalState,
     GoalTrajectory,
-    JointState,
     SceneRevision,
     ServoSession,
     ServoStart,
@@ -26,21 +25,20 @@ from zarm_contract.messages import (
 )
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.robot_model import RobotModel
-from zarm_runtime.bus import Latest, Publisher
+from zarm_runtime.bus import Publisher
 from zarm_runtime.metrics import Metrics
 from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
-from zarm_servo.check import SceneCheck
-from zarm_servo.clock import StreamClock
-from zarm_servo.controller import STALE, Controller, Limitation
-from zarm_servo.global_plan import PlanFor, find_global_plan
-from zarm_servo.inbox import Inbox, ahead
 from zarm_servo.kernels.step import PERIOD
-from zarm_servo.local_goal import LocalGoal
-from zarm_servo.moving_objects import MovingObjects
-from zarm_servo.scene_monitor import SceneMonitor
-from zarm_servo.session_scene import SessionScene
-from zarm_servo.streamed_trajectory import StreamedTrajectory
-from zarm_servo.targets import JointTarget, PoseTarget, Target, rotation_vector
+from zarm_servo.tracking.clock import StreamClock
+from zarm_servo.tracking.controller import STALE, Controller, Limitation
+from zarm_servo.tracking.global_plan import PlanFor, find_global_plan
+from zarm_servo.tracking.inbox import Inbox, ahead
+from zarm_servo.tracking.local_goal import LocalGoal
+from zarm_servo.tracking.session_scene import SessionScene
+from zarm_servo.tracking.streamed_trajectory import StreamedTrajectory
+from zarm_servo.tracking.targets import JointTarget, PoseTarget, Target, rotation_vector
+from zarm_servo.world.check import SceneCheck
+from zarm_servo.world.world_monitor import WorldMonitor
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -103,46 +101,52 @@ class Snapshot:
     moving: bool = False
 
 
-class Session:
-    """Leads the goal `goal_id`, from rest at `position` (J,).
+@dataclass(frozen=True)
+class SessionConfig:
+    """What all sessions of a robot share.
 
-    The session owns `check` while it is open. It calls `changed()` when what limits it changes, and asks the planner
-    through `plan` when the controller is stuck.
+    The open session owns `check`. It calls `changed()` when what limits it changes, and asks the planner through `plan`
+    when the controller is stuck.
     """
+
+    robot: RobotDescription
+    check: SceneCheck
+    world: WorldMonitor
+    chunks: Publisher[StreamChunk]
+    plan: PlanFor
+    metrics: Metrics
+    changed: Callable[[], object]
+
+
+class Session:
+    """Leads the goal `goal_id`, from rest at `position` (J,); the executor expects the robot `delay` s behind its command."""
 
     def __init__(
         self,
         goal_id: str,
         request: ServoStart,
-        robot: RobotDescription,
-        check: SceneCheck,
-        monitor: SceneMonitor,
-        moving: MovingObjects,
-        measured: Latest[JointState],
-        chunks: Publisher[StreamChunk],
+        config: SessionConfig,
         position: Array,
         delay: float,
-        changed: Callable[[], None],
-        plan: PlanFor,
-        metrics: Metrics,
     ) -> None:
+        robot, check, world = config.robot, config.check, config.world
         self.goal_id, self._margin = goal_id, request.margin
         self.inbox = Inbox(len(position))
         self._joints = robot.descriptor.joints
         self._model: RobotModel = check.model
-        self._measured = measured
-        self._chunks, self._changed, self._delay = chunks, changed, delay
-        self._scene = SessionScene(check, monitor, moving, time.monotonic(), self._give_up)
+        self._measured = world.measured
+        self._chunks, self._changed, self._delay = config.chunks, config.changed, delay
+        self._scene = SessionScene(check, world.scene, world.moving, time.monotonic(), self._give_up)
         limits = soft(Limits.of(robot, request.velocity_scale, request.acceleration_scale))
         self._controller = Controller(self._model, check.motions, limits, position, margin=request.margin)
-        self._metrics = metrics
+        self._metrics = config.metrics
         self._pool = ThreadPoolExecutor(
             _SEARCHES,
             thread_name_prefix="global-plan",
             initializer=ask_for_realtime,  # else a thread that a cycle starts has the priority of the cycles
             initargs=(PROCESS_PRIORITY,),
         )
-        find = partial(find_global_plan, plan, self._joints, request.margin)
+        find = partial(find_global_plan, config.plan, self._joints, request.margin)
         self._local_goal = LocalGoal(self._model, find, partial(self._scene.is_free, margin=request.margin), self._pool)
         self._streamed = StreamedTrajectory(0.0, self._controller.state, self._controller.braking)
         self._ends: OrderedDict[int, tuple[float, Array]] = OrderedDict()

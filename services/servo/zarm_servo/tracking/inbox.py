@@ -10,9 +10,9 @@ import numpy as np
 from zarm_contract import messages as m
 from zarm_contract.errors import InvalidRequest, Problem, ZarmError
 from zarm_geometry.frames import matrix
-from zarm_servo.controller import STALE
 from zarm_servo.refusal import Refusal
-from zarm_servo.targets import JointSpeedTarget, JointTarget, PoseTarget, Target, TwistTarget
+from zarm_servo.tracking.controller import STALE
+from zarm_servo.tracking.targets import JointSpeedTarget, JointTarget, PoseTarget, Target, TwistTarget
 from zarm_trajectory.quintic import Array
 
 _DRIFT = 1e-3

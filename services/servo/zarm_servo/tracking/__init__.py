@@ -1,0 +1,1 @@
+"""Sessions, in which the robot follows a live target."""

@@ -1,0 +1,80 @@
+"""The one reader of what the bus says of scene, robot and goals; it knows none of those whom it informs."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from pydantic import TypeAdapter, ValidationError
+
+from zarm_contract.keys import Keys
+from zarm_contract.messages import ExecutorState, GoalState, GoalTrajectory, JointState, Message, SceneObject
+from zarm_geometry.meshes import Meshes
+from zarm_runtime.bus import Bus, Latest
+from zarm_servo.world.moving_objects import MovingObjects
+from zarm_servo.world.scene_monitor import SceneMonitor
+
+log = logging.getLogger(__name__)
+
+PLANNER_PERIOD = 1.0
+"""Interval (s) at which the planner's presence is checked."""
+MISSED = 2
+"""Number of consecutive failed checks after which the planner counts as gone."""
+_OBJECT: TypeAdapter[SceneObject] = TypeAdapter(SceneObject)
+
+
+class WorldMonitor:
+    """The scene, the objects that move in it, and the `measured` joints.
+
+    Callables in `on_change` are called after every change of the scene, those in `on_move` after every pose of an object,
+    and the others with each message of the executor; all from any thread.
+    """
+
+    def __init__(self, measured: Latest[JointState], meshes: Meshes) -> None:
+        self.measured = measured
+        self.on_change: list[Callable[[], object]] = []
+        self.on_move: list[Callable[[], object]] = []
+        self.on_state: list[Callable[[ExecutorState], object]] = []
+        self.on_goal: list[Callable[[GoalState], object]] = []
+        self.on_trajectory: list[Callable[[GoalTrajectory], object]] = []
+        self.planner_gone = False
+        self.scene = SceneMonitor(lambda: _call(self.on_change))
+        self.moving = MovingObjects(self.scene, meshes, lambda: _call(self.on_move))
+
+    @contextmanager
+    def reading(self, bus: Bus, keys: Keys) -> Iterator[None]:
+        """Read the bus in this block."""
+        bus.watch(keys.scene, self.scene.on_scene)
+        bus.listen(keys.scene_object("*"), self._on_object)
+        bus.watch(keys.executor_state, lambda _, state: _call(self.on_state, state))
+        bus.watch(keys.goal("*"), lambda _, goal: _call(self.on_goal, goal))
+        bus.watch(keys.goal_trajectory, lambda _, trajectory: _call(self.on_trajectory, trajectory))
+        ended = threading.Event()
+        watching = threading.Thread(target=self._watch_planner, args=(bus, keys, ended), name="planner", daemon=True)
+        watching.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            watching.join()
+
+    def _on_object(self, key: str, payload: bytes) -> None:
+        try:
+            self.scene.on_object(_OBJECT.validate_json(payload[: Message.max_bytes]), time.monotonic())
+        except ValidationError as error:
+            log.warning("dropped a message key=%s reason=%s", key, error.errors()[0]["msg"])
+
+    def _watch_planner(self, bus: Bus, keys: Keys, ended: threading.Event) -> None:
+        missed = 0
+        while not ended.wait(PLANNER_PERIOD):
+            alive = bus.alive(keys.alive("planner", "*"), timeout=PLANNER_PERIOD)
+            missed = 0 if alive else missed + 1
+            self.planner_gone = missed >= MISSED
+
+
+def _call(callables: list[Callable[..., object]], *arguments: object) -> None:
+    for one in callables:
+        one(*arguments)
