@@ -16,7 +16,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from support.executor.client import Client
 from support.harness import ServiceProcess, eventually, router
-from support.ros.client import RosClient, report
+from support.ros.client import RosClient, reported
 from support.ros.node import destroyed
 from support.ros.stack import controller
 from support.trajectories import patient, rest_to_rest
@@ -98,7 +98,7 @@ def test_a_late_command_does_not_reach_the_driver(bus: Bus, bridge: ServiceProce
     heard = ros.heard(JointTrajectory, "/leeloo/execute_trajectory")
     names, row = M1013.descriptor.joints, (0.0,) * 6
     commands = bus.publisher(Keys("doosan_m1013").driver_command)
-    report(
+    reported(
         heard, lambda: commands.put(m.DriverCommand(sequence=1, joint_names=names)), "the bridge knows of the driver"
     )
     based_on = told_joints(bus, ros)
@@ -128,7 +128,7 @@ def test_commands_reach_the_driver_as_they_are(bus: Bus, bridge: ServiceProcess,
     names = M1013.descriptor.joints
     rows = tuple(tuple(0.1 * i + j for j in range(6)) for i in range(2))
     commands = bus.publisher(Keys("doosan_m1013").driver_command)
-    report(
+    reported(
         heard, lambda: commands.put(m.DriverCommand(sequence=1, joint_names=names)), "the bridge knows of the driver"
     )
     commands.put(
@@ -227,7 +227,7 @@ def test_progress_is_of_the_command_that_was_sent_last(bus: Bus, bridge: Service
         time=(0.0, 0.1, 0.2, 0.3),
         position=(row,) * 4,
     )
-    report(sent, lambda: commands.put(command), "the command has come")
+    reported(sent, lambda: commands.put(command), "the command has come")
     for value in (math.nan, 0.25, 0.5):
         publisher.publish(Float32(data=value))
     eventually(lambda: len(heard) == 2, "the progress has come")

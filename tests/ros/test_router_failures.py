@@ -20,7 +20,7 @@ from visualization_msgs.msg import MarkerArray
 from curobo_msgs.srv import AddObject, SetRobotStrategy, TrajectoryGeneration
 from support.harness import ServiceProcess, eventually, free_endpoint
 from support.network.link import link
-from support.ros.client import report
+from support.ros.client import reported
 from support.ros.goals import ABORTED, HOME, SUCCEEDED, TARGET, Actions, Robot
 from support.ros.node import running_node
 from support.ros.stack import KEYS, RosClient
@@ -133,7 +133,7 @@ def test_while_the_router_is_away_services_and_goals_say_so_and_then_everything_
     place.switch("joint_speed")
     commands = place.heard(JointTrajectory, "/leeloo/execute_trajectory")
     plans: list[Plan] = []
-    report(trajectories, lambda: plans.append(place.robot.plan(speed=1.0)), "the plan is shown")
+    reported(trajectories, lambda: plans.append(place.robot.plan(speed=1.0)), "the plan is shown")
     status, result = place.actions.send().ended()
     assert status == SUCCEEDED, result.message
     assert commands

@@ -17,11 +17,11 @@ from support.paths import PROGRAMS
 from support.planner.client import BEHIND_FENCE, BEHIND_POST, FENCE, HOME, KEYS, POST, load, plan, to_joints
 from zarm_contract.codec import encode
 from zarm_contract.messages import IkRequest, Message, PlanRequest, Pose, WaypointsGoal
-from zarm_planner.service import KEPT_MARGIN
+from zarm_planner.service import CAPACITY
 from zarm_runtime.bus import Bus
 
 CORES = os.cpu_count() or 1
-SHARE = KEPT_MARGIN // 2
+SHARE = CAPACITY // 2
 MODEST = PlanRequest(start=HOME, goal=to_joints(-0.3, *HOME[1:]), timeout=60.0)
 ENDLESS = PlanRequest(start=HOME, goal=to_joints(*BEHIND_FENCE), timeout=60.0, max_attempts=1000)
 OPTIMIZED = PlanRequest(

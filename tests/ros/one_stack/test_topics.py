@@ -15,7 +15,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from support.executor.client import Client
 from support.harness import eventually
-from support.ros.client import RosClient, one, report
+from support.ros.client import RosClient, one, reported
 from support.ros.node import destroyed
 from support.ros.stack import KEYS, Stack
 from support.trajectories import HOME, ROBOT, moved, rest_to_rest
@@ -47,7 +47,7 @@ def test_every_plan_is_on_trajectory_and_replayed_by_the_ghost(client: Client, r
     trajectories = ros.heard(JointTrajectory, "/trajectory")
     ghost = ros.heard(JointState, "/preview/joint_states")
     plans: list[m.Plan] = []
-    message = report(trajectories, lambda: plans.append(_plan(client, 0.5)), "the plan has come")
+    message = reported(trajectories, lambda: plans.append(_plan(client, 0.5)), "the plan has come")
     plan = plans[-1]  # and every one before it: the same request
     assert list(message.joint_names) == list(plan.trajectory.joint_names)
     for point, at, position, velocity in zip(
