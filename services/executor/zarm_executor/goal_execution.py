@@ -36,6 +36,11 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
 
+_MOVING = (Accepted, Running)
+"""The states in which the robot moves along the trajectory. A tuple, because a union costs time in every tick."""
+_SETTLED = (*_MOVING, Paused)
+"""The states in which the robot need not come to rest."""
+
 
 class GoalExecution:
     """Executes one goal: `strategy` moves the robot along its path, and each new state of the goal is appended to
@@ -224,7 +229,7 @@ class GoalExecution:
 
     @property
     def _moving(self) -> bool:
-        return isinstance(self._state, Accepted | Running)
+        return isinstance(self._state, _MOVING)
 
     def _enter(self, state: State) -> None:
         """Change the state, and publish it if it looks different."""
@@ -263,11 +268,10 @@ class GoalExecution:
                 self._held_until = now
         except ExecutionFailed as failure:
             self.fail(failure)
-        match self._state:
-            case Accepted() | Running() | Paused() | Held(at_rest=True):
-                return None
-            case _:
-                return self._come_to_rest(now, progress, measured)
+        state = self._state
+        if isinstance(state, _SETTLED) or (isinstance(state, Held) and state.at_rest):
+            return None
+        return self._come_to_rest(now, progress, measured)
 
     def _note_joint_reports(self, seen: bool) -> None:
         """Note whether the robot's joints are reported, and log when that changes."""

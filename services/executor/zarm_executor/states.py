@@ -121,13 +121,9 @@ def mode_of(state: State) -> RobotMode:
 
 def held_of(state: State) -> Held | None:
     """Why a goal in this state is held, apart from a pause."""
-    match state:
-        case Held():
-            return state
-        case Pausing(held) | Paused(held) | Ending(_, held):
-            return held
-        case _:
-            return None
+    if isinstance(state, Held):
+        return state
+    return state.held if isinstance(state, (Pausing, Paused, Ending)) else None
 
 
 def hold_of(state: State) -> Hold | None:
@@ -138,7 +134,7 @@ def hold_of(state: State) -> Hold | None:
 
 def outcome_of(state: State) -> Outcome | None:
     """The outcome, once it is certain."""
-    return state.outcome if isinstance(state, Ending | Ended) else None
+    return state.outcome if isinstance(state, (Ending, Ended)) else None
 
 
 def with_held(state: State, held: Held | None) -> State:
