@@ -97,18 +97,19 @@ def planner_killed(place: Arena) -> Iterator[str | None]:
 
 CLIENT = """
 import sys
+from zarm_contract.keys import Keys
+from zarm_contract.messages import ExecuteRequest
 from zarm_runtime.bus import Bus
-from zarm_contract.messages import Accepted, ExecuteRequest
 
 with Bus(sys.argv[1]) as bus:
     request = ExecuteRequest.model_validate_json(sys.stdin.readline())
-    print(bus.call(sys.argv[2], request, Accepted, timeout=10).goal_id, flush=True)
+    print(bus.call(Keys(sys.argv[2]).execute, request, timeout=10).goal_id, flush=True)
     sys.stdin.readline()
 """
 
 
 def client_killed(place: Arena) -> Iterator[str | None]:
-    command = [sys.executable, "-c", CLIENT, place.endpoint, place.keys.execute]
+    command = [sys.executable, "-c", CLIENT, place.endpoint, place.keys.robot]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as client:
         assert client.stdin is not None
         assert client.stdout is not None
