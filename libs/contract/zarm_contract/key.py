@@ -1,4 +1,4 @@
-"""The kinds of key: each is a key expression that knows its messages, its rights, and its purpose."""
+"""The kinds of key: each is a key expression with its messages, rights and purpose."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class Published(Key, Generic[M]):
 
 
 class Topic(Published[M]):
-    """What the roles `by` publish; nobody answers. Those that are `realtime` are droppable, unless it is said."""
+    """What the roles `by` publish; nobody answers. By default those that are `realtime` are droppable."""
 
     kind = "publication"
 

@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 PLANNER_PERIOD = 1.0
 """Interval (s) at which the planner's presence is checked."""
 MISSED = 2
-"""Number of consecutive failed checks after which the planner counts as gone."""
+"""A planner counts as gone after so many checks: on a busy machine the answer to one may come too late."""
 _OBJECT: TypeAdapter[SceneObject] = TypeAdapter(SceneObject)
 
 
@@ -30,7 +30,8 @@ class WorldMonitor:
     """The scene, the objects that move in it, and the `measured` joints.
 
     Callables in `on_change` are called after every change of the scene, those in `on_move` after every pose of an object,
-    and the others with each message of the executor; all from any thread.
+    and the others with each message of the executor; all from any thread. An exception of one is logged, and does not
+    keep the others from being called.
     """
 
     def __init__(self, measured: Latest[JointState], meshes: Meshes) -> None:
@@ -77,4 +78,7 @@ class WorldMonitor:
 
 def _call(callables: list[Callable[..., object]], *arguments: object) -> None:
     for one in callables:
-        one(*arguments)
+        try:
+            one(*arguments)
+        except Exception:  # whatever one of them does wrong, the others must know, above all the guard
+            log.exception("not informed callable=%s", one)
