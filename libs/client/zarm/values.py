@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 """The orientation (x, y, z, w) of an unrotated frame."""
-AXES = ("theta_x", "theta_y", "theta_z", "x", "y", "z")
-"""What a path constraint can hold, in the order of its flags."""
+AXES = messages.POSE_COMPONENTS
+"""What a path constraint can hold and a goal leave free, in the order of its flags."""
 
 Axis = Literal["theta_x", "theta_y", "theta_z", "x", "y", "z"]
 M = TypeVar("M", bound=Message)

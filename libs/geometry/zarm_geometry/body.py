@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_contract.messages import Attached, Mesh, Vector3, Voxels
+from zarm_contract.messages import Attached, Mesh, Sphere, Vector3, Voxels
 from zarm_contract.robot import RobotDescription
 from zarm_contract.urdf import Joint
-from zarm_geometry.frames import rotation_to
+from zarm_geometry.frames import matrix, rotation_to
 from zarm_geometry.rows import primitives
 from zarm_geometry.shapes import Shape, link_shape, obstacle_shape
 from zarm_geometry.sphere_cover import MOST_BALLS, sphere_cover
@@ -24,12 +24,14 @@ class Body:
     """A rigid collision body: a link, or an attached object.
 
     It is fixed at `pose` (4, 4) to the moving joint `joint`, or to the base if that is -1. In its own frame `balls` (n,
-    4), x, y, z and radius (m), cover its exact `shapes`. It may touch the bodies named in `touches`.
+    4), x, y, z and radius (m), cover its exact `shapes`. It may touch the bodies named in `touches`. `origin` (4, 4) is
+    the frame of the link, or of the object, in that of the joint.
     """
 
     name: str
     joint: int
     pose: Array
+    origin: Array
     balls: Array
     shapes: tuple[Shape, ...]
     touches: frozenset[str]
@@ -49,6 +51,7 @@ def link_body(robot: RobotDescription, link: str) -> Body:
         name=link,
         joint=len(passed) - 1,
         pose=pose,
+        origin=pose,
         balls=np.array([[*ball.center, ball.radius] for ball in descriptor.spheres[link]]),
         shapes=tuple(link_shape(link, item) for item in descriptor.collision[link]),
         touches=frozenset().union(*beside),
@@ -61,7 +64,11 @@ def attached_body(item: Attached, dof: int, tip: Array) -> Body:
     parts = [item.object] if not isinstance(item.object, Mesh | Voxels) else item.parts
     shapes = tuple(obstacle_shape(name, row) for row in primitives(parts))
     balls = np.concatenate([sphere_cover(shape, max(2, MOST_BALLS // len(shapes))) for shape in shapes])
-    return Body(name, dof - 1, tip, balls, shapes, touches=frozenset(item.touch_links))
+    placed = item.object
+    origin = tip @ (
+        matrix(placed.position) if isinstance(placed, Sphere) else matrix(placed.position, placed.orientation)
+    )
+    return Body(name, dof - 1, tip, origin, balls, shapes, touches=frozenset(item.touch_links))
 
 
 def along(chain: tuple[Joint, ...]) -> tuple[list[Array], Array]:

@@ -55,7 +55,8 @@ from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
 from zarm_planner.goals.joints import checked, within_range
 from zarm_planner.goals.moving_start import state_of
-from zarm_planner.kinematics.batches import batch_fk, batch_ik
+from zarm_planner.kinematics.batches import batch_fk, batch_ik, batch_regions
+from zarm_planner.kinematics.pose_region import PoseRegion
 from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.base import Planner
 from zarm_planner.planners.registry import AUTO, PLANNERS, check_name, choose, names_of
@@ -171,6 +172,7 @@ class Handlers:
             trajectory=trajectory.message(model.robot.descriptor.joints),
             tip=pose_of(model.fk_tip(trajectory.position[-1])),
             selected_goal_index=verified.goal_pose,
+            goal_deviation=verified.deviation,
             clearance=verified.clearance,
             too_near=verified.too_near,
             resolution=RESOLUTION,
@@ -209,9 +211,13 @@ class Handlers:
         def work(deadline: Deadline) -> IkSolutions:
             scene = self._planning_scene()
             turns = whole_turns(near, model.continuous)
-            found = batch_ik(
-                scene.model,
-                poses,
+            batch: Callable[..., list[Array]] = partial(batch_ik, scene.model, poses)
+            if request.tolerance is not None or request.tip is not None:
+                batch = partial(
+                    batch_regions,
+                    [PoseRegion.of(scene.model, pose, request.tolerance, request.tip, "tip") for pose in request.poses],
+                )
+            found = batch(
                 near - turns,
                 world=scene.world if request.collision_free else None,
                 max_solutions=request.max_solutions,

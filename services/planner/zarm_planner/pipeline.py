@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.errors import DeadlineExceeded, InvalidRequest, PlanningFailed
-from zarm_contract.messages import Goal, TooNear, WaypointsGoal
+from zarm_contract.messages import Goal, PoseDeviation, TooNear, WaypointsGoal
 from zarm_planner.context import PlanningContext
+from zarm_planner.goals.ends import goal_deviation
 from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.planners.base import Planner
 from zarm_planner.timing.improvement import GAIN
@@ -34,8 +35,8 @@ tried.
 class Verified:
     """A trajectory that may be executed; `clearance` in m, `waypoint_times` in s.
 
-    `goal_pose` is the index of the goal's pose that it reaches, if any, and `too_near` the margins that it does not
-    keep.
+    `goal_pose` is the index of the goal's pose that it reaches, if any, `deviation` (6,) how far off it, if that is
+    allowed, and `too_near` the margins that it does not keep.
     """
 
     trajectory: TimedTrajectory
@@ -43,6 +44,7 @@ class Verified:
     waypoint_times: tuple[float, ...]
     goal_pose: int | None
     too_near: tuple[TooNear, ...]
+    deviation: PoseDeviation | None
 
     def shifted(self, turns: Array) -> Verified:
         """The same motion after whole turns (dof,) in rad of continuous joints."""
@@ -174,7 +176,8 @@ def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: Ti
     nearer: tuple[TooNear, ...] = ()
     if clearance < max(context.world.margin, context.scene.self_margin):
         nearer = too_near(context.scene, trajectory, clearance, check)
-    return Verified(trajectory, clearance, times, end.pose, nearer)
+    deviation = goal_deviation(context, problem.goal, end.pose, trajectory.position[-1])
+    return Verified(trajectory, clearance, times, end.pose, nearer, deviation)
 
 
 def _given_up(failure: VerificationFailed) -> PlanningFailed:

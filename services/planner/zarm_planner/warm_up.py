@@ -15,10 +15,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from zarm_contract.messages import PathConstraint
+from zarm_contract.messages import PathConstraint, PoseTolerance
 from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
+from zarm_geometry.frames import pose_of
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.voxels import merged
 from zarm_geometry.world import World
@@ -29,6 +30,7 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.goals.contact import clear_pose, way_out
 from zarm_planner.kernels.leg_times import path_time, straight_times
 from zarm_planner.kinematics.ik import solve_ik
+from zarm_planner.kinematics.pose_region import PoseRegion
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import quickest_of, shortcut
@@ -60,6 +62,9 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     merged(np.zeros((1, 3), np.int64))
     begin("inverse kinematics")
     solve_ik(model, pose, home, world=world, max_solutions=1, seed=0, deadline=deadline)
+    region = PoseRegion.of(model, pose_of(pose), PoseTolerance(), None, "tip")
+    region.solve(home, world=world, max_solutions=1, seed=0, deadline=deadline)
+    region.deviation(home)
     begin("the search")
     search(model, world, home, home, seed=0, deadline=deadline)
     every = np.ones(model.dof)  # the robot's own may be too low for a motion that fits into a message

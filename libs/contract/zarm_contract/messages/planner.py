@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
@@ -21,17 +22,60 @@ from zarm_contract.messages.motion import (
 )
 from zarm_contract.messages.scene import SceneRevision
 
+Free = Literal["free"]
+"""A component of a pose that may have any value."""
+DistanceTolerance = Annotated[float, Field(ge=0, le=100)] | Free
+AngleTolerance = Annotated[float, Field(ge=0, le=math.pi)] | Free
+
+
+class PoseTolerance(Message):
+    """How far the tip may be from the pose of a goal: each component by a number from 0, or `"free"`.
+
+    `orientation` (rad) bounds the components `[theta_x, theta_y, theta_z]` of the rotation vector from the goal's orientation to the
+    tip's, in the goal's frame. `position` (m) bounds `[x, y, z]` along the axes of `frame`: the base's, or with `tool` the
+    goal's. With `radius` (m) the tip is inside a ball instead of that box.
+    """
+
+    orientation: tuple[AngleTolerance, AngleTolerance, AngleTolerance] = (0.0, 0.0, 0.0)
+    position: tuple[DistanceTolerance, DistanceTolerance, DistanceTolerance] = (0.0, 0.0, 0.0)
+    radius: Annotated[float, Field(gt=0, le=100)] | None = None
+    frame: Literal["base", "tool"] = "tool"
+
+    @field_validator("radius")
+    @classmethod
+    def _box_or_ball(cls, radius: float | None, info: ValidationInfo) -> float | None:
+        if radius is not None and any(info.data.get("position", ())):
+            raise ValueError("position bounds a box already; give one of them")
+        return radius
+
+    @property
+    def bounds(self) -> tuple[float, ...]:
+        """The bounds `[theta_x, theta_y, theta_z, x, y, z, distance]` in rad and m, infinite where free."""
+        position = self.position if self.radius is None else ("free", "free", "free")
+        radius = math.inf if self.radius is None else self.radius
+        return (*(math.inf if bound == "free" else bound for bound in (*self.orientation, *position)), radius)
+
+
+class TipFrame(Message):
+    """A frame of the robot: `offset` as seen from `link`, which is a link of the URDF or an attached object."""
+
+    link: Annotated[str, Field(min_length=1, max_length=128)]
+    offset: Pose = Pose(position=(0.0, 0.0, 0.0))
+
 
 class PoseGoal(Message):
     """Move the tip to a pose in the base frame: `position` (m), `orientation` `[x, y, z, w]`.
 
-    With `alternatives` it is a goal set: the plan leads to the pose that is reached in the shortest time.
+    With `alternatives` it is a goal set: the plan leads to the pose that is reached in the shortest time. With a `tolerance` any pose
+    within it is a goal, and the plan leads to one that is reached soon. `tip` names another frame than the descriptor's `tip_link`.
     """
 
     kind: Literal["pose"]
     position: Vector3
     orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
     alternatives: tuple[Pose, ...] = Field(default=(), max_length=63)
+    tolerance: PoseTolerance | None = None
+    tip: TipFrame | None = None
 
     @property
     def poses(self) -> tuple[Pose, ...]:
@@ -149,6 +193,12 @@ class PlanTimings(Message):
     total: NonNegative
 
 
+POSE_COMPONENTS = ("theta_x", "theta_y", "theta_z", "x", "y", "z")
+"""The components of a pose, in the order of all that bounds or holds them."""
+PoseDeviation = tuple[float, float, float, float, float, float]
+"""How far a pose is from another: `[theta_x, theta_y, theta_z, x, y, z]` in rad and m."""
+
+
 class TooNear(Message):
     """A link comes nearer to an object or another link than the `margin` (m): `distance` m at `time` s of the trajectory."""
 
@@ -165,7 +215,8 @@ class Plan(Message):
     1 m. `too_near` names what comes nearer than the margins, usually because it does so at the start or goal. Nothing thicker than `resolution` (m) can be missed between two checks. `waypoint_times` (s) say when each waypoint is
     passed. `path_length` is the length in joint space (rad, Euclidean). `tip` is the pose at the end. `selected_goal_index`
     says which pose of a pose goal that is: 0 is its own, k its k-th alternative. With waypoints it belongs to the last one.
-    It is left out if the motion ends at a joint goal.
+    It is left out if the motion ends at a joint goal. `goal_deviation` says how a goal's tolerance is used: the components
+    `[theta_x, theta_y, theta_z, x, y, z]` (rad, m) by which the end is off that pose, see `PoseTolerance`.
     """
 
     plan_id: Name
@@ -175,6 +226,7 @@ class Plan(Message):
     trajectory: Trajectory
     tip: Pose
     selected_goal_index: Annotated[int, Field(ge=0)] | None = None
+    goal_deviation: PoseDeviation | None = None
     clearance: float
     too_near: tuple[TooNear, ...] = ()
     resolution: Positive
@@ -206,10 +258,13 @@ and the batch is large enough to gain from it, else kernels."""
 class IkRequest(Message):
     """Inverse kinematics: joint solutions for tip poses, nearest to `near` first (rad; default: the measured joints, else home).
 
-    With `collision_free` only solutions without collision count. `device` says what computes the batch.
+    With `collision_free` only solutions without collision count. `device` says what computes the batch. `tolerance` and `tip` as in
+    `PoseGoal`, for all poses; kernels compute them.
     """
 
     poses: tuple[Pose, ...] = Field(min_length=1, max_length=1000)
+    tolerance: PoseTolerance | None = None
+    tip: TipFrame | None = None
     near: Joints | None = None
     max_solutions: Annotated[int, Field(ge=1, le=64)] = 1
     device: Device = "auto"

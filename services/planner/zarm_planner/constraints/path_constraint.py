@@ -8,15 +8,12 @@ from typing import Self, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zarm_contract.messages import PathConstraint
+from zarm_contract.messages import POSE_COMPONENTS, PathConstraint
 from zarm_geometry.robot_model import RobotModel
 from zarm_planner.kernels.inverse import Chain
 from zarm_planner.kernels.manifold import ConstraintArrays, deviations, project_all
 
 Array = NDArray[np.float64]
-
-NAMES = ("theta_x", "theta_y", "theta_z", "x", "y", "z")
-"""The components of a pose in the order of `PathConstraint.axes`."""
 
 
 def constrains(message: PathConstraint | None) -> TypeGuard[PathConstraint]:
@@ -102,5 +99,5 @@ class ConstraintManifold:
         for i in self.arrays.axes[self._used(pose)[0] > 1.0].tolist():
             factor, unit = (np.rad2deg(1.0), "deg") if i < 3 else (1e3, "mm")
             off, allowed = abs(deviation[i]) * factor, self.arrays.tolerance[i] * factor
-            parts.append(f"{NAMES[i]} would be off by {off:.2f} {unit} ({allowed:.2f} {unit} allowed)")
+            parts.append(f"{POSE_COMPONENTS[i]} would be off by {off:.2f} {unit} ({allowed:.2f} {unit} allowed)")
         return f"in the {self.frame} frame, {' and '.join(parts)}"

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, NamedTuple, Self
+from typing import Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest, PlanningFailed, ZarmError
-from zarm_contract.messages import JointGoal, Pose, PoseGoal
+from zarm_contract.messages import Goal, JointGoal, Pose, PoseDeviation, PoseGoal, WaypointsGoal
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import Nearest
 from zarm_geometry.frames import matrix
@@ -25,12 +25,15 @@ from zarm_planner.goals.contact import clear_pose, edge_is_free, points, way_out
 from zarm_planner.goals.joints import within_range
 from zarm_planner.kernels.inverse import DISTINCT
 from zarm_planner.kinematics.ik import IkResult, solve_ik
+from zarm_planner.kinematics.pose_region import PoseRegion
 from zarm_trajectory.turns import TURN, whole_turns
 
 Array = NDArray[np.float64]
 
 _GOALS = 16
 """Most solutions considered for a pose."""
+_REGION_GOALS = 8
+"""Most solutions considered for a pose with tolerance; each is the best of its surroundings."""
 _SET_GOALS = 256
 """Most solutions considered for a goal set, equally many for each pose."""
 _TIGHT_GOALS = 4
@@ -141,7 +144,8 @@ def goal_ends(
     poses = goal.poses
     most = min(_GOALS, _SET_GOALS // len(poses))
     for number, pose in enumerate(poses):
-        found = _pose_ends(context, start, pose, most, constraint)
+        target = _target(context, goal, pose, field, constraint)
+        found = _pose_ends(context, start, target, most, constraint)
         if isinstance(found, _Fault):
             faults.append(found)
         else:
@@ -151,6 +155,14 @@ def goal_ends(
     if goal.alternatives:
         ends.sort(key=lambda end: float(np.sum((end.asked - start) ** 2)))
     return _with_long_ways(context, start, ends)
+
+
+def goal_deviation(context: PlanningContext, goal: Goal, number: int | None, q: Array) -> PoseDeviation | None:
+    """By how much the end `q` (dof,) of a motion is off pose `number` of the goal; None for a goal without freedom."""
+    last = goal.through[-1] if isinstance(goal, WaypointsGoal) else goal
+    if number is None or not isinstance(last, PoseGoal) or (last.tolerance is None and last.tip is None):
+        return None
+    return PoseRegion.of(context.model, last.poses[number], last.tolerance, last.tip, "goal").deviation(q)
 
 
 def _with_long_ways(context: PlanningContext, start: Array, ends: list[End]) -> tuple[End, ...]:
@@ -199,30 +211,123 @@ def _of_all(faults: Sequence[_Fault], field: str) -> ZarmError:
     )
 
 
+class _Target(Protocol):
+    """The poses that a goal allows."""
+
+    def solve(self, context: PlanningContext, near: Array) -> IkResult:
+        """Joints that reach one of the poses, nearest to `near` (dof,) first, free in spheres."""
+
+    def tip(self, q: Array) -> Array:
+        """The pose (4, 4) of the tip at the solution `q` (dof,)."""
+
+    def fault(self, constraint: ConstraintManifold | None) -> _Fault | None:
+        """What keeps it from being a goal at all."""
+
+    def unreachable(self, context: PlanningContext, near: Array, found: IkResult) -> _Fault:
+        """The fault of a goal without solutions."""
+
+
+@dataclass(frozen=True)
+class _ExactPose:
+    """One pose of the tip."""
+
+    message: Pose
+    pose: Array
+
+    def solve(self, context: PlanningContext, near: Array) -> IkResult:
+        return solve_ik(
+            context.model,
+            self.pose,
+            near,
+            world=context.world,
+            max_solutions=_GOALS,
+            seed=context.seed,
+            deadline=context.deadline,
+        )
+
+    def tip(self, q: Array) -> Array:
+        return self.pose
+
+    def fault(self, constraint: ConstraintManifold | None) -> _Fault | None:
+        return None if constraint is None else _broken(constraint, self.pose)
+
+    def unreachable(self, context: PlanningContext, near: Array, found: IkResult) -> _Fault:
+        region = PoseRegion.of(context.model, self.message, None, None, "")
+        return _Fault(
+            "unreachable",
+            f"cannot be reached: the tip comes within {1e3 * found.distance:.1f} mm and "
+            f"{np.rad2deg(found.angle):.1f} deg of it at best",
+            _freeing(context, region, near) or "choose a pose nearer to the robot or another orientation",
+        )
+
+
+@dataclass(frozen=True)
+class _Region:
+    """The poses around a goal's pose that its tolerance allows, or the pose of another frame of the robot."""
+
+    region: PoseRegion
+
+    def solve(self, context: PlanningContext, near: Array) -> IkResult:
+        return self._solve(context, near)[0]
+
+    def _solve(self, context: PlanningContext, near: Array) -> tuple[IkResult, Array]:
+        return self.region.solve(
+            near, world=context.world, max_solutions=_REGION_GOALS, seed=context.seed, deadline=context.deadline
+        )
+
+    def tip(self, q: Array) -> Array:
+        return self.region.model.fk_tip(q)
+
+    def fault(self, constraint: ConstraintManifold | None) -> _Fault | None:
+        return None
+
+    def unreachable(self, context: PlanningContext, near: Array, found: IkResult) -> _Fault:
+        _, missed = self._solve(context, near)
+        return _Fault(
+            "unreachable",
+            f"cannot be reached: at best, {self.region.shortfall(missed)}",
+            _freeing(context, self.region, near) or "choose a pose nearer to the robot, or allow more",
+        )
+
+
+def _freeing(context: PlanningContext, region: PoseRegion, near: Array) -> str | None:
+    """The remedy that names the components to free, one of which is enough; or all of the orientation."""
+    names = region.blocking(near, context.seed, context.deadline)
+    return f"it can be reached with {' or '.join(names)} free, see goal.tolerance" if names else None
+
+
+def _target(
+    context: PlanningContext, goal: PoseGoal, pose: Pose, field: str, constraint: ConstraintManifold | None
+) -> _Target:
+    if goal.tolerance is None and goal.tip is None:
+        return _ExactPose(pose, matrix(pose.position, pose.orientation))
+    kept = None if constraint is None else constraint.arrays
+    return _Region(PoseRegion.of(context.model, pose, goal.tolerance, goal.tip, f"{field}.tip", kept))
+
+
 def _pose_ends(
-    context: PlanningContext, start: Array, wanted: Pose, most: int, constraint: ConstraintManifold | None
+    context: PlanningContext, start: Array, target: _Target, most: int, constraint: ConstraintManifold | None
 ) -> list[End] | _Fault:
-    """The `most` nearest configurations that reach a pose."""
-    pose = matrix(wanted.position, wanted.orientation)
-    if constraint is not None and (fault := _broken(constraint, pose)):
+    """The `most` nearest configurations that reach a pose of the target."""
+    if fault := target.fault(constraint):
         return fault
-    found = _solved(context, pose, start)
+    found = _solved(context, target, start)
     if len(found.solutions):
         return [End.at(q) for q in found.solutions[:most]]
     if len(found.colliding):
-        return _tight_ends(context, start, pose, found.colliding, most, constraint)
-    return _Fault(
-        "unreachable",
-        f"cannot be reached: the tip comes within {1e3 * found.distance:.1f} mm and "
-        f"{np.rad2deg(found.angle):.1f} deg of it at best",
-        "choose a pose nearer to the robot or another orientation",
-    )
+        return _tight_ends(context, start, target, found.colliding, most, constraint)
+    return target.unreachable(context, start, found)
 
 
 def _tight_ends(
-    context: PlanningContext, start: Array, pose: Array, found: Array, most: int, constraint: ConstraintManifold | None
+    context: PlanningContext,
+    start: Array,
+    target: _Target,
+    found: Array,
+    most: int,
+    constraint: ConstraintManifold | None,
 ) -> list[End] | _Fault:
-    """The `most` nearest configurations, free in exact geometry, for a pose (4, 4) with no solution free in spheres.
+    """The `most` nearest configurations, free in exact geometry, for a target with no solution free in spheres.
 
     First the colliding ones `found` (n, dof), with as much clearance as the pose leaves them; then others, for
     `max_attempts` seeds or until _FRUITLESS in a row find nothing new.
@@ -234,7 +339,7 @@ def _tight_ends(
     fruitless = 0
     for attempt in range(context.max_attempts):
         if attempt > 0:
-            solved = _solved(context.with_seed(context.seed + attempt), pose, start)
+            solved = _solved(context.with_seed(context.seed + attempt), target, start)
             if len(solved.solutions):
                 return [End.at(q) for q in solved.solutions[:most]]
             found = solved.colliding
@@ -246,7 +351,7 @@ def _tight_ends(
         ends: list[End] = []
         for q in new:
             context.deadline.check()
-            clear, clearance = clear_pose(context, pose, q)
+            clear, clearance = clear_pose(context, target.tip(q), q)
             tried.append((clearance, clear))
             if clearance > 0.0 and (end := _end(context, clear, constraint)):
                 ends.append(end)
@@ -257,19 +362,9 @@ def _tight_ends(
     return _blocked(context, tried)
 
 
-def _solved(context: PlanningContext, pose: Array, near: Array) -> IkResult:
-    """Joints for a pose (4, 4), free in spheres, and with `thorough_ik` in exact geometry too. Raises the deadline's
-    error.
-    """
-    found = solve_ik(
-        context.model,
-        pose,
-        near,
-        world=context.world,
-        max_solutions=_GOALS,
-        seed=context.seed,
-        deadline=context.deadline,
-    )
+def _solved(context: PlanningContext, target: _Target, near: Array) -> IkResult:
+    """Joints for a target, free in spheres, and with `thorough_ik` in exact geometry too. Raises the deadline's error."""
+    found = target.solve(context, near)
     context.deadline.check()
     if not context.thorough_ik:
         return found

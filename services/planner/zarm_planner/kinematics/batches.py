@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,6 +26,7 @@ from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.inverse import DISTINCT, TOLERANCE, TURN
 from zarm_planner.kinematics.ik import solve_ik, with_turns
+from zarm_planner.kinematics.pose_region import PoseRegion
 
 if TYPE_CHECKING:
     from pytorch_kinematics import SerialChain
@@ -107,9 +109,47 @@ def batch_ik(
             more = solve_ik(
                 model, pose, near, world=world, max_solutions=_CHOICE, seed=seed, deadline=deadline
             ).solutions
-            free = [q for q in more if exact.is_free(q, deadline.check)]
-            solutions[i] = np.array(free[:max_solutions]).reshape(-1, model.dof)
+            solutions[i] = _free_of(more, exact, max_solutions, deadline)
     return solutions
+
+
+def batch_regions(
+    regions: Sequence[PoseRegion],
+    near: Array,
+    *,
+    world: World | None,
+    max_solutions: int,
+    seed: int,
+    device: Device,
+    deadline: Deadline,
+    exact: ExactScene | None = None,
+) -> list[Array]:
+    """For each region of poses the solutions (m, dof) that `PoseRegion.solve` promises; those that are free in `exact`
+    geometry too, if it is given.
+
+    Raises InvalidRequest for a device without kernels, and the deadline's error.
+    """
+    if device not in ("auto", "kernels"):
+        raise InvalidRequest(
+            f"poses with a tolerance or another tip are not computed on the device {device}; ask for auto or kernels",
+            field="device",
+        )
+    solutions = []
+    for region in regions:
+        found, _ = region.solve(near, world=world, max_solutions=max_solutions, seed=seed, deadline=deadline)
+        rows = found.solutions
+        deadline.check()
+        if exact is not None and not exact.is_free(rows, deadline.check):
+            found, _ = region.solve(near, world=world, max_solutions=_CHOICE, seed=seed, deadline=deadline)
+            rows = _free_of(found.solutions, exact, max_solutions, deadline)
+        solutions.append(rows)
+    return solutions
+
+
+def _free_of(rows: Array, exact: ExactScene, most: int, deadline: Deadline) -> Array:
+    """The first `most` of the configurations (n, dof) that are free in exact geometry."""
+    free = [q for q in rows if exact.is_free(q, deadline.check)]
+    return np.array(free[:most]).reshape(-1, rows.shape[1])
 
 
 def _in_step(

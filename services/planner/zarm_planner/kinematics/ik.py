@@ -15,7 +15,7 @@ from zarm_planner.kernels.inverse import TURN, Chain, solve
 
 Array = NDArray[np.float64]
 
-_COLLIDING = 64
+COLLIDING = 64
 """Colliding solutions after which the search for a free one gives up."""
 
 
@@ -51,12 +51,12 @@ def solve_ik(
     first one found is returned: the one that `near` leads to, unless that collides.
     """
     free = np.empty((max_solutions, model.dof))
-    colliding = np.empty((_COLLIDING, model.dof))
+    colliding = np.empty((COLLIDING, model.dof))
     lower, upper = model.range_about(near)
     found = solve(
         chain_of(model)._replace(lower=lower, upper=upper),
         model.arrays,
-        (world or _NOTHING).arrays,
+        (world or NOTHING).arrays,
         working_memory(model.arrays),
         world is not None,
         np.array(pose, np.float64, order="C"),
@@ -68,13 +68,14 @@ def solve_ik(
     )
     return IkResult(
         with_turns(model, free[: found.free], near, max_solutions),
-        _nearest_first(colliding[: found.colliding], near),
+        nearest_first(colliding[: found.colliding], near),
         found.distance,
         found.angle,
     )
 
 
-_NOTHING = World((), 0.0)
+NOTHING = World((), 0.0)
+"""A world without obstacles."""
 
 
 def chain_of(model: RobotModel) -> Chain:
@@ -86,7 +87,7 @@ def with_turns(model: RobotModel, solutions: Array, near: Array, most: int) -> A
     """The `most` nearest among solutions and all that differ from them by full turns; each input is its own nearest
     turn.
     """
-    rows = _nearest_first(solutions, near)
+    rows = nearest_first(solutions, near)
     if most == 1:
         return rows
     for k in np.flatnonzero(model.revolute & (model.upper - model.lower >= TURN) & ~model.continuous):
@@ -95,9 +96,10 @@ def with_turns(model: RobotModel, solutions: Array, near: Array, most: int) -> A
         turned = np.repeat(rows, len(turns), axis=0)
         turned[:, k] += np.tile(turns * TURN, len(rows))
         within = (turned[:, k] >= model.lower[k]) & (turned[:, k] <= model.upper[k])
-        rows = _nearest_first(turned[within], near)[:most]
+        rows = nearest_first(turned[within], near)[:most]
     return rows
 
 
-def _nearest_first(rows: Array, near: Array) -> Array:
+def nearest_first(rows: Array, near: Array) -> Array:
+    """Configurations (n, dof) by their distance from `near` (dof,)."""
     return rows if len(rows) < 2 else rows[((rows - near) ** 2).sum(axis=1).argsort(kind="stable")]
