@@ -93,16 +93,16 @@ def test_another_version_that_speaks_the_same_contract_is_said_and_works(
 def test_another_contract_is_refused_by_name_on_both_sides_and_status_says_so_loudly(
     planner: ServiceProcess, endpoint: str, bus: Bus, tmp_path: Path
 ) -> None:
-    with executor_of(endpoint, tmp_path, "v4") as executor:
+    with executor_of(endpoint, tmp_path, "v5") as executor:
         executor.wait_ready(bus, KEYS)
         remedy = "run the same version of zarm on both sides"
-        with pytest.raises(InvalidRequest, match=f"of contract {CONTRACT}, and .* speaks v4; {remedy}"):
+        with pytest.raises(InvalidRequest, match=f"of contract {CONTRACT}, and .* speaks v5; {remedy}"):
             bus.call(KEYS.execute, ExecuteRequest(trajectory=rest_to_rest(moved(0.1))), timeout=PATIENCE)
-        with pytest.raises(InternalError, match=f"speaks contract v4, and this client {CONTRACT}; {remedy}"):
+        with pytest.raises(InternalError, match=f"speaks contract v5, and this client {CONTRACT}; {remedy}"):
             bus.read(KEYS.executor_state, timeout=PATIENCE)
         shown, errors = status(endpoint, 1)
         assert {fault["kind"] for fault in shown["mismatches"]} == {"contract", "version"}
-        assert "v4 by executor, v3 by planner and this command" in errors
+        assert "v5 by executor, v4 by planner and this command" in errors
         assert shown["executor"] is None
         assert "contract: " in zarm("status", ZARM_CONNECT=endpoint).stdout
         executed = zarm("execute", "--joints", ",".join(map(str, GOAL)), ZARM_CONNECT=endpoint)
@@ -111,18 +111,18 @@ def test_another_contract_is_refused_by_name_on_both_sides_and_status_says_so_lo
 
 
 def test_a_stop_is_taken_from_a_client_of_any_contract(executor: ServiceProcess, endpoint: str, bus: Bus) -> None:
-    encoding = zenoh.Encoding.APPLICATION_JSON.with_schema("zarm.Nothing.v4")
+    encoding = zenoh.Encoding.APPLICATION_JSON.with_schema("zarm.Nothing.v5")
     with open_client(endpoint) as session:
         (reply,) = session.get(KEYS.stop, payload=b"{}", encoding=encoding, timeout=PATIENCE)
         assert reply.ok is not None
         (refused,) = session.get(
             KEYS.speed,
             payload=b"{}",
-            encoding=zenoh.Encoding.APPLICATION_JSON.with_schema("zarm.SpeedRequest.v4"),
+            encoding=zenoh.Encoding.APPLICATION_JSON.with_schema("zarm.SpeedRequest.v5"),
             timeout=PATIENCE,
         )
         assert refused.err is not None
-        assert b"of contract v4" in refused.err.payload.to_bytes()
+        assert b"of contract v5" in refused.err.payload.to_bytes()
 
 
 def test_a_publication_of_another_contract_is_not_taken(planner: ServiceProcess, endpoint: str, bus: Bus) -> None:
@@ -131,18 +131,18 @@ def test_a_publication_of_another_contract_is_not_taken(planner: ServiceProcess,
     )
     newest = bus.latest(KEYS.joint_states)
     with open_client(endpoint) as session:
-        for contract, content in (("v4", joints), ("v3", joints.model_copy(update={"stamp": 2.0}))):
+        for contract, content in (("v5", joints), ("v4", joints.model_copy(update={"stamp": 2.0}))):
             encoding = zenoh.Encoding.APPLICATION_JSON.with_schema(f"zarm.JointState.{contract}")
             session.put(KEYS.joint_states, content.model_dump_json(), encoding=encoding)
         got = eventually(newest.get, "one arrives")
     assert got.stamp == 2.0
-    assert "contract=v4 here=v3" in planner.output()
+    assert "contract=v5 here=v4" in planner.output()
 
 
 def test_the_health_of_a_later_version_is_read_whatever_it_adds() -> None:
     reported = {
         "service": "planner", "robot": "arm", "instance": "a", "ready": True, "activity": "serving", "version": "9.0.0",
-        "contract": "v4", "robot_hash": "0", "uptime": 1.0, "pid": 7, "what_v4_adds": [1],
+        "contract": "v5", "robot_hash": "0", "uptime": 1.0, "pid": 7, "what_v5_adds": [1],
     }  # fmt: skip
     assert Health.model_validate_json(json.dumps(reported)).version == "9.0.0"
 

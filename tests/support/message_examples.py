@@ -81,6 +81,10 @@ _REVISION = "12-5be0c1d2f3a4"
 _CLEAR = m.ClearScene(op="clear")
 _LOAD = m.LoadScene(op="load", objects=(_SPHERE,))
 _POSE_GOAL = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), orientation=(0.0, 0.6, 0.0, 0.8))
+_TOLERANCE = m.PoseTolerance(orientation=(0.1, 0.0, "free"), position=(0.01, "free", 0.0), frame="base")
+_BALL = m.PoseTolerance(orientation=("free", "free", "free"), radius=0.05)
+_TIP_FRAME = m.TipFrame(link="gripper", offset=_POSE)
+_FREE_GOAL = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), tolerance=_TOLERANCE, tip=_TIP_FRAME)
 _GOAL_SET = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), alternatives=(_POSE, _POSE))
 _JOINT_GOAL = m.JointGoal(kind="joints", position=(0.3, -0.4))
 _WAYPOINTS = m.WaypointsGoal(
@@ -144,6 +148,10 @@ EXAMPLES: tuple[Message, ...] = (
     # planner
     _POSE_GOAL,
     _GOAL_SET,
+    _FREE_GOAL,
+    _TOLERANCE,
+    _BALL,
+    _TIP_FRAME,
     _JOINT_GOAL,
     _WAYPOINTS,
     _PATH_CONSTRAINT,
@@ -176,6 +184,7 @@ EXAMPLES: tuple[Message, ...] = (
         scene_revision=_REVISION,
         trajectory=_TRAJECTORY,
         tip=_POSE,
+        goal_deviation=(0.0, 0.0, 1.5, 0.0, 0.0, -0.01),
         selected_goal_index=1,
         clearance=0.002,
         too_near=(_TOO_NEAR,),
@@ -187,6 +196,7 @@ EXAMPLES: tuple[Message, ...] = (
     m.CancelPlan(request_id="request-1"),
     m.CancelledPlan(was_running=True),
     m.IkRequest(poses=(_POSE, _POSE), near=(0.0, 0.0), max_solutions=4, collision_free=False, device="cpu", seed=9),
+    m.IkRequest(poses=(_POSE,), tolerance=_BALL, tip=_TIP_FRAME),
     m.IkSolutions(solutions=(((0.1, 0.2), (0.3, 0.4)), ())),
     m.FkRequest(joints=((0.1, 0.2), (0.3, 0.4)), device="kernels"),
     m.FkPoses(poses=(_POSE,)),
@@ -345,7 +355,7 @@ EXAMPLES: tuple[Message, ...] = (
         ready=False,
         activity="compiling kernels",
         version="0.1.0",
-        contract="v3",
+        contract="v4",
         robot_hash="0123456789abcdef",
         uptime=1.5,
         pid=4242,

@@ -14,6 +14,7 @@ from zarm_contract.messages import (
     FkRequest,
     IkRequest,
     IkSolutions,
+    PoseGoal,
 )
 from zarm_contract.messages import Pose as PoseMessage
 
@@ -35,7 +36,7 @@ class Kinematics(Calls):
 
     def ik(
         self,
-        pose: PoseMessage,
+        pose: PoseMessage | PoseGoal,
         *,
         near: Numbers | None = None,
         max_solutions: int = 8,
@@ -43,10 +44,13 @@ class Kinematics(Calls):
         seed: int = 0,
     ) -> list[tuple[float, ...]]:
         """Joint positions (rad) that reach a tip pose, nearest to `near` (default: measured) first. Empty if there are
-        none."""
+        none. The pose may be a `PoseGoal` with freedom."""
+        free = pose if isinstance(pose, PoseGoal) else None
         request = made(
             IkRequest,
             poses=(PoseMessage(position=pose.position, orientation=pose.orientation),),
+            tolerance=free and free.tolerance,
+            tip=free and free.tip,
             near=joints_of(near, "near"),
             max_solutions=max_solutions,
             collision_free=collision_free,

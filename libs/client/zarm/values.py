@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from array import array
 from base64 import b64encode
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
@@ -113,16 +113,66 @@ class AnyOf(_Checked, messages.PoseGoal):
         )
 
 
+class PoseGoal(_Checked, messages.PoseGoal):
+    """A pose of the tip with freedom: `PoseGoal(pose, free=["theta_z"])`. Only a position, `PoseGoal((x, y, z))`, leaves the
+    orientation free.
+
+    The components `theta_x`, `theta_y`, `theta_z` of the rotation vector from the goal's orientation are measured in the goal's frame;
+    `x`, `y` and `z` in `frame`: `tool`, the goal's, or `base`. Those that are `free` may have any value, others may be off by
+    the `tolerance`, {"theta_x": 0.1, "z": 0.01} in rad and m. With a `radius` (m) the tip may be anywhere in a ball.
+    `tip` is the frame to bring there, by default the robot's tip: the name of a link or of an attached object, or a `TipFrame`.
+
+    `plan.tip` says which pose was chosen, and `plan.goal_deviation` how far from the goal's it is.
+    """
+
+    def __init__(
+        self,
+        pose: messages.Pose | Numbers,
+        *,
+        free: Iterable[Axis] = (),
+        tolerance: Mapping[str, float] | None = None,
+        radius: float | None = None,
+        frame: Literal["base", "tool"] = "tool",
+        tip: str | messages.TipFrame | None = None,
+    ) -> None:
+        loose: set[str] = set(free)
+        if not isinstance(pose, messages.Pose):
+            pose, loose = Pose(pose), loose | set(AXES[:3])
+        super().__init__(
+            kind="pose",
+            position=pose.position,
+            orientation=pose.orientation,
+            tolerance=tolerance_of(loose, tolerance or {}, radius, frame),
+            tip=made(messages.TipFrame, link=tip) if isinstance(tip, str) else tip,
+        )
+
+
+def tolerance_of(
+    free: Iterable[str], tolerance: Mapping[str, float], radius: float | None, frame: Literal["base", "tool"]
+) -> messages.PoseTolerance | None:
+    """The tolerance of a goal, see `PoseGoal`; None if it allows nothing. Raises InvalidRequest that names the argument."""
+    bounds: dict[str, float | Literal["free"]] = {**tolerance, **dict.fromkeys(free, "free")}
+    if unknown := bounds.keys() - set(AXES):
+        field = "tolerance" if unknown & tolerance.keys() else "free"
+        raise InvalidRequest(f"{', '.join(sorted(unknown))}: axes are {', '.join(AXES)}", field=field)
+    if not bounds and radius is None:
+        return None
+    values = [bounds.get(axis, 0.0) for axis in AXES]
+    return made(
+        messages.PoseTolerance, orientation=tuple(values[:3]), position=tuple(values[3:]), radius=radius, frame=frame
+    )
+
+
 class Waypoints(_Checked, messages.WaypointsGoal):
     """A motion through poses of the tip and joint positions (rad), in this order and without stopping: `Waypoints(a, b, c)`.
 
-    A waypoint may be `AnyOf` several poses. Each is passed within `position_tolerance` (m) and `angle_tolerance` (rad) of the tip's pose there. The robot rests at
+    A waypoint may be `AnyOf` several poses, or a `PoseGoal` with freedom. Each is passed within `position_tolerance` (m) and `angle_tolerance` (rad) of the tip's pose there. The robot rests at
     the last.
     """
 
     def __init__(
         self,
-        *through: messages.Pose | AnyOf | Numbers,
+        *through: messages.Pose | messages.PoseGoal | Numbers,
         position_tolerance: float = 0.005,
         angle_tolerance: float = 0.02,
     ) -> None:
@@ -132,6 +182,13 @@ class Waypoints(_Checked, messages.WaypointsGoal):
             position_tolerance=position_tolerance,
             angle_tolerance=angle_tolerance,
         )
+
+
+class TipFrame(_Checked, messages.TipFrame):
+    """A frame of the robot: `offset` (default: none) as seen from `link`, a link of the URDF or an attached object."""
+
+    def __init__(self, link: str, offset: messages.Pose | None = None) -> None:
+        super().__init__(link=link, offset=offset or messages.Pose(position=(0.0, 0.0, 0.0)))
 
 
 class StartState(_Checked, messages.StartState):
@@ -296,8 +353,9 @@ class Trajectory(_Checked, messages.Trajectory):
         )
 
 
-Goal: TypeAlias = "messages.Pose | AnyOf | Waypoints | Numbers"
-"""Where a motion leads: a pose of the tip, whichever of several is quickest to reach, joint positions (rad), or waypoints."""
+Goal: TypeAlias = "messages.Pose | messages.PoseGoal | Waypoints | Numbers"
+"""Where a motion leads: a pose of the tip, one with freedom, whichever of several is quickest to reach, joint positions (rad), or
+waypoints."""
 
 
 def goal_of(goal: Goal) -> messages.Goal:
@@ -318,7 +376,7 @@ def object_of(item: messages.SceneObject) -> messages.SceneObject:
     return made
 
 
-def _stop(goal: messages.Pose | AnyOf | Numbers) -> messages.PoseGoal | messages.JointGoal:
+def _stop(goal: messages.Pose | messages.PoseGoal | Numbers) -> messages.PoseGoal | messages.JointGoal:
     if isinstance(goal, messages.PoseGoal):
         return goal
     try:

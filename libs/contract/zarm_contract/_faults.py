@@ -11,8 +11,8 @@ from pydantic import BaseModel
 
 TAGS = ("kind", "op")
 """The fields that distinguish the members of a union, in every model of zarm."""
-SHAPES = ("listed", "packed")
-"""The tags of unions whose members are told apart by what they are, a list or a text."""
+SHAPES = ("listed", "packed", "bound", "keyword")
+"""The tags of unions whose members are told apart by what they are: a list or a text, a number or a word."""
 
 _LONGEST = 100
 """So much of an unknown field's name is compared with known ones: a payload of megabytes may be one name."""

@@ -1,4 +1,4 @@
-"""Messages to bytes and back: JSON, with the schema `zarm.<Message>.v3` as encoding."""
+"""Messages to bytes and back: JSON, with the schema `zarm.<Message>.v4` as encoding."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from zarm_contract.errors import InvalidRequest
 
 M = TypeVar("M", bound=Message)
 
-CONTRACT = "v3"
+CONTRACT = "v4"
 """Version of the messages and keys; it must be the same on the whole bus."""
 _SCHEMA = re.compile(r"zarm\.\w+\.(v\d+)$")
 MAX_BYTES = Message.max_bytes
@@ -43,7 +43,7 @@ def build_all(model: type[Message] = Message) -> None:
 
 
 def schema(model: type[Message]) -> str:
-    """The schema name of a message class: `zarm.Plan.v3`."""
+    """The schema name of a message class: `zarm.Plan.v4`."""
     return f"zarm.{model.__name__}.{CONTRACT}"
 
 

@@ -1,7 +1,7 @@
 """Records as MCAP files (https://mcap.dev), which Foxglove opens.
 
 A channel is a key of the bus, a message the exact bytes sent over it (encoding `json`), with the schema of its class
-(`jsonschema`, named `zarm.<Message>.v3`). `log_time` is when it was sent or received here, in ns since 1970;
+(`jsonschema`, named `zarm.<Message>.v4`). `log_time` is when it was sent or received here, in ns since 1970;
 `publish_time` is the same, except for values that already held when the record begins: then it is when they were
 published.
 """

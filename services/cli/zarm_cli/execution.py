@@ -13,7 +13,21 @@ from zarm.executor import REST_SECONDS
 from zarm.robot import Robot
 from zarm_cli.client import AsJson, Connect, Name, connected, message
 from zarm_cli.output import SCENE_CHANGED, err, facts, held_by, out, print_json, reached, share_text
-from zarm_cli.planning import AnyOf, JointsGoal, To, VelocityScale, read_plan, request_plan, typed_goal
+from zarm_cli.planning import (
+    EXACT,
+    AnyOf,
+    Free,
+    JointsGoal,
+    Tip,
+    To,
+    Tolerance,
+    ToleranceFrame,
+    VelocityScale,
+    read_plan,
+    request_plan,
+    typed_freedom,
+    typed_goal,
+)
 from zarm_contract.errors import ZarmError, from_problem
 from zarm_contract.messages import ExecuteRequest, ExecutorState, GoalState, Speed
 from zarm_runtime.session import DEFAULT_ENDPOINT
@@ -22,6 +36,10 @@ from zarm_runtime.session import DEFAULT_ENDPOINT
 def execute(
     to: To = None,
     any_of: AnyOf = False,
+    free: Free = None,
+    tolerance: Tolerance = None,
+    tolerance_frame: ToleranceFrame = None,
+    tip: Tip = None,
     joints_goal: JointsGoal = None,
     plan: Annotated[Path | None, typer.Option(help="A plan saved by `zarm plan --save`.")] = None,
     plan_id: Annotated[str | None, typer.Option(help="Id of a plan published on this bus.")] = None,
@@ -35,7 +53,9 @@ def execute(
     name: Name = None,
 ) -> None:
     """Move the robot along the last plan, a given one, or a new one (--to, --joints). Ctrl-C stops the robot."""
-    goal = None if not to and joints_goal is None and not any_of else typed_goal(to, joints_goal, any_of)
+    freedom = typed_freedom(free, tolerance, tolerance_frame, tip)
+    typed = to or joints_goal is not None or any_of or freedom != EXACT
+    goal = typed_goal(to, joints_goal, any_of, freedom) if typed else None
     if [plan, plan_id, goal].count(None) < 2:
         raise typer.BadParameter("give one of them at most", param_hint="--plan / --plan-id / --to / --joints")
     if velocity_scale is not None and goal is None:

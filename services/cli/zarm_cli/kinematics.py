@@ -9,7 +9,7 @@ import typer
 from zarm.connection import ANSWER_SECONDS
 from zarm_cli.client import AsJson, Connect, Name, connected, floats, joints, message
 from zarm_cli.output import degrees, facts, numbers, out, pose_text, print_json
-from zarm_cli.planning import full_pose
+from zarm_cli.planning import Free, Tip, Tolerance, ToleranceFrame, full_pose, typed_freedom
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import CheckResults, FkPoses, IkRequest
 from zarm_runtime.session import DEFAULT_ENDPOINT
@@ -39,6 +39,10 @@ def ik(
             help="Pose of the tip in the base frame (m). Without an orientation the tip keeps its own.",
         ),
     ],
+    free: Free = None,
+    tolerance: Tolerance = None,
+    tolerance_frame: ToleranceFrame = None,
+    tip: Tip = None,
     near: Annotated[
         str | None,
         typer.Option(metavar="A,B,C,...", help="Joint positions to sort the solutions by (rad; default: measured)."),
@@ -51,10 +55,12 @@ def ik(
 ) -> None:
     """Inverse kinematics: joint positions for a tip pose, one solution per line."""
     pose, at = floats(to, "--to", 3, 7), joints(near, "--near")
+    freedom = typed_freedom(free, tolerance, tolerance_frame, tip)
     with connected(connect, name) as robot:
         request = message(
             IkRequest,
-            poses=[full_pose(robot, pose)],
+            poses=[full_pose(robot, pose, oriented=freedom.needs_orientation)],
+            **freedom.fields,
             near=at,
             max_solutions=max_solutions,
             collision_free=not colliding,

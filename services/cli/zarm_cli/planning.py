@@ -10,12 +10,12 @@ import typer
 from rich.table import Table
 
 from zarm.robot import Robot
-from zarm.values import AXES
+from zarm.values import AXES, IDENTITY, tolerance_of
 from zarm_cli.client import AsJson, Connect, Name, connected, floats, joints, message
 from zarm_cli.output import degrees, facts, numbers, out, pose_text, print_json
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Plan, PlanRequest
+from zarm_contract.messages import Plan, PlanRequest, PoseDeviation, PoseTolerance
 from zarm_runtime.session import DEFAULT_ENDPOINT
 
 To = Annotated[
@@ -27,6 +27,24 @@ To = Annotated[
     ),
 ]
 AnyOf = Annotated[bool, typer.Option("--any", help="Of several --to, go to the one that takes the least time.")]
+Free = Annotated[
+    str | None,
+    typer.Option(metavar="AXIS,...", help=f"Components of --to that may have any value: {', '.join(AXES)}."),
+]
+Tolerance = Annotated[
+    str | None,
+    typer.Option(
+        metavar="AXIS=VALUE,...",
+        help="How far components of --to may be off (rad, m): theta_x=0.1,z=0.01. Or `radius` (m): anywhere in a ball.",
+    ),
+]
+ToleranceFrame = Annotated[
+    Literal["base", "tool"] | None,
+    typer.Option(help="Axes of x, y and z in --free and --tolerance (default: tool, those of the goal)."),
+]
+Tip = Annotated[
+    str | None, typer.Option(metavar="LINK", help="Link or attached object to bring to --to (default: the tip).")
+]
 JointsGoal = Annotated[
     str | None, typer.Option("--joints", metavar="A,B,C,...", help="Joint positions (rad), in the descriptor's order.")
 ]
@@ -38,6 +56,10 @@ VelocityScale = Annotated[
 def plan(
     to: To = None,
     any_of: AnyOf = False,
+    free: Free = None,
+    tolerance: Tolerance = None,
+    tolerance_frame: ToleranceFrame = None,
+    tip: Tip = None,
     joints_goal: JointsGoal = None,
     start: Annotated[
         str | None,
@@ -63,7 +85,12 @@ def plan(
     name: Name = None,
 ) -> None:
     """Plan a motion around the scene; nothing moves."""
-    goal, at, constraint = typed_goal(to, joints_goal, any_of), joints(start, "--start"), _constraint(hold, hold_frame)
+    freedom = typed_freedom(free, tolerance, tolerance_frame, tip)
+    goal, at, constraint = (
+        typed_goal(to, joints_goal, any_of, freedom),
+        joints(start, "--start"),
+        _constraint(hold, hold_frame),
+    )
     with connected(connect, name) as robot:
         found = request_plan(
             robot,
@@ -87,6 +114,47 @@ def plan(
 
 
 @dataclass(frozen=True)
+class Freedom:
+    """What typed poses leave open: their tolerance, and the frame that is brought there."""
+
+    tolerance: PoseTolerance | None = None
+    tip: str | None = None
+
+    @property
+    def needs_orientation(self) -> bool:
+        """Whether the orientation of a typed pose matters."""
+        return self.tolerance is None or self.tolerance.orientation != ("free", "free", "free")
+
+    @property
+    def fields(self) -> dict[str, object]:
+        """The fields of a goal or of an `IkRequest`."""
+        return {"tolerance": self.tolerance, "tip": None if self.tip is None else {"link": self.tip}}
+
+
+EXACT = Freedom()
+"""No freedom at all."""
+
+
+def typed_freedom(
+    free: str | None, tolerance: str | None, frame: Literal["base", "tool"] | None, tip: str | None
+) -> Freedom:
+    """Read --free, --tolerance, --tolerance-frame and --tip; usage error for an unknown axis or value."""
+    bounds: dict[str, float] = {}
+    for part in tolerance.split(",") if tolerance else ():
+        axis, _, value = part.partition("=")
+        (bounds[axis],) = floats(value, "--tolerance", 1)
+    radius = bounds.pop("radius", None)
+    try:
+        allowed = tolerance_of(free.split(",") if free else (), bounds, radius, frame or "tool")
+    except InvalidRequest as error:
+        hint = "--free" if error.problem.field == "free" else "--tolerance"
+        raise typer.BadParameter(error.problem.message, param_hint=hint) from None
+    if frame is not None and allowed is None:
+        raise typer.BadParameter("belongs to --free or --tolerance", param_hint="--tolerance-frame")
+    return Freedom(allowed, tip)
+
+
+@dataclass(frozen=True)
 class TypedGoal:
     """A typed goal: joints (rad), or tip poses whose orientation is optional.
 
@@ -96,15 +164,19 @@ class TypedGoal:
     joints: list[float] | None
     poses: list[list[float]]
     any_of: bool
+    freedom: Freedom
 
 
-def typed_goal(to: list[str] | None, joints_goal: str | None, any_of: bool) -> TypedGoal:
-    """Read --to and --joints, one of which must be given, and --any; usage error otherwise."""
+def typed_goal(to: list[str] | None, joints_goal: str | None, any_of: bool, freedom: Freedom = EXACT) -> TypedGoal:
+    """Read --to and --joints, one of which must be given, --any and the freedom; usage error otherwise."""
     if bool(to) == (joints_goal is not None):
         raise typer.BadParameter("give exactly one of them", param_hint="--to / --joints")
     if any_of and not to:
         raise typer.BadParameter("belongs to --to", param_hint="--any")
-    return TypedGoal(joints(joints_goal, "--joints"), [floats(pose, "--to", 3, 7) for pose in to or []], any_of)
+    if freedom != EXACT and not to:
+        raise typer.BadParameter("belong to --to", param_hint="--free / --tolerance / --tip")
+    poses = [floats(pose, "--to", 3, 7) for pose in to or []]
+    return TypedGoal(joints(joints_goal, "--joints"), poses, any_of, freedom)
 
 
 def _constraint(axes: str | None, frame: str | None) -> dict[str, object] | None:
@@ -131,16 +203,21 @@ def request_plan(robot: Robot, goal: TypedGoal, *, start: list[float] | None = N
 def _goal(robot: Robot, typed: TypedGoal, start: list[float] | None) -> dict[str, object]:
     if typed.joints is not None:
         return {"kind": "joints", "position": typed.joints}
-    poses = [full_pose(robot, pose, start) for pose in typed.poses]
+    freedom = typed.freedom
+    poses = [full_pose(robot, pose, start, oriented=freedom.needs_orientation) for pose in typed.poses]
     if typed.any_of or len(poses) == 1:
-        return {"kind": "pose", **poses[0], "alternatives": poses[1:]}
-    return {"kind": "waypoints", "through": [{"kind": "pose", **pose} for pose in poses]}
+        return {"kind": "pose", **poses[0], "alternatives": poses[1:], **freedom.fields}
+    return {"kind": "waypoints", "through": [{"kind": "pose", **pose, **freedom.fields} for pose in poses]}
 
 
-def full_pose(robot: Robot, typed: list[float], at: list[float] | None = None) -> dict[str, list[float]]:
+def full_pose(
+    robot: Robot, typed: list[float], at: list[float] | None = None, *, oriented: bool = True
+) -> dict[str, list[float]]:
     """Position and orientation of a typed pose; by default the orientation is the tip's at the joints `at`, or
-    measured.
+    measured, if it is to be `oriented` at all.
     """
+    if len(typed) == 3 and not oriented:
+        typed = [*typed, *IDENTITY]
     if len(typed) == 3:
         typed = [*typed, *(robot.tip() if at is None else robot.fk([at])[0]).orientation]
     return {"position": typed[:3], "orientation": typed[3:]}
@@ -158,8 +235,15 @@ def plan_table(found: Plan) -> Table:
         *((("passes", f"its waypoints at {numbers(found.waypoint_times)} s"),) if found.waypoint_times else ()),
         ("clearance", f"{found.clearance * 1e3:.1f} mm at the closest, in scene revision {found.scene_revision}"),
         ("ends at", pose_text(found.tip)),
+        *((("off the goal", deviation_text(found.goal_deviation)),) if found.goal_deviation else ()),
         ("joints", f"{numbers(found.trajectory.position[-1], 4)} rad = {degrees(found.trajectory.position[-1])} deg"),
     )
+
+
+def deviation_text(deviation: PoseDeviation) -> str:
+    """How far a pose is from another."""
+    angles, distances = deviation[:3], deviation[3:]
+    return f"{numbers([1e3 * x for x in distances], 1)} mm, {degrees(angles)} deg in the goal's frame"
 
 
 def read_plan(path: Path) -> Plan:

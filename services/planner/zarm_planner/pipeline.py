@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.errors import DeadlineExceeded, InvalidRequest, PlanningFailed
-from zarm_contract.messages import Goal, PoseDeviation, TooNear, WaypointsGoal
+from zarm_contract.messages import Goal, JointGoal, PoseDeviation, PoseGoal, TooNear, WaypointsGoal
 from zarm_planner.context import PlanningContext
-from zarm_planner.goals.ends import goal_deviation
+from zarm_planner.goals.ends import End, goal_deviation
 from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.planners.base import Planner
 from zarm_planner.timing.improvement import GAIN
@@ -169,8 +169,7 @@ def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: Ti
     clearance = verify(trajectory, start, end.asked, limits, context.exact, check, problem.constraint, motion)
     times: tuple[float, ...] = ()
     if isinstance(problem.goal, WaypointsGoal):
-        # Ends with the same pose belong to the same waypoint.
-        waypoints = [np.array([*{end.pose: end.asked for end in ends}.values()]) for ends in problem.targets]
+        waypoints = [*map(_with_poses_of_their_own, problem.goal.through, problem.targets)]
         tolerances = problem.goal.position_tolerance, problem.goal.angle_tolerance
         times = passing_times(context.model, trajectory, waypoints, *tolerances, check)
     nearer: tuple[TooNear, ...] = ()
@@ -178,6 +177,13 @@ def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: Ti
         nearer = too_near(context.scene, trajectory, clearance, check)
     deviation = goal_deviation(context, problem.goal, end.pose, trajectory.position[-1])
     return Verified(trajectory, clearance, times, end.pose, nearer, deviation)
+
+
+def _with_poses_of_their_own(waypoint: PoseGoal | JointGoal, ends: Sequence[End]) -> Array:
+    """Those ends (n, dof) of a waypoint whose tips differ; without freedom, one for each of its poses."""
+    if isinstance(waypoint, PoseGoal) and waypoint.has_freedom:
+        return np.array([end.asked for end in ends])
+    return np.array([*{end.pose: end.asked for end in ends}.values()])
 
 
 def _given_up(failure: VerificationFailed) -> PlanningFailed:

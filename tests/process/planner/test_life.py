@@ -173,7 +173,7 @@ def test_the_scene_is_published_with_every_edit_whole_and_object_by_object(
     assert set(singly) == {KEYS.scene_object(name) for name in ("table", "post", "shelf")}
     post = singly[KEYS.scene_object("post")]
     assert Cylinder.model_validate_json(post.payload.to_bytes()) == POST
-    assert str(post.encoding).endswith("zarm.Cylinder.v3")
+    assert str(post.encoding).endswith("zarm.Cylinder.v4")
     planner.call(KEYS.scene_edit, SceneEdit(edit=ClearScene(op="clear")), timeout=PATIENCE)
     assert list(foreign.get(KEYS.scene_object("*"), timeout=PATIENCE)) == []
 

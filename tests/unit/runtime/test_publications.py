@@ -99,7 +99,7 @@ def test_a_plain_query_reads_a_latched_value_and_what_it_is(bus: Bus, plain: zen
     assert reply.ok is not None
     assert str(reply.ok.key_expr) == KEYS.executor_state
     assert reply.ok.payload.to_bytes() == encode(IDLE)
-    assert str(reply.ok.encoding) == "application/json;zarm.ExecutorState.v3"
+    assert str(reply.ok.encoding) == "application/json;zarm.ExecutorState.v4"
 
 
 def test_a_latched_value_that_is_not_set_yet_answers_nothing(bus: Bus, other: Bus) -> None:
@@ -150,8 +150,8 @@ def test_each_member_of_a_family_says_what_it_is(bus: Bus, plain: zenoh.Session)
     replies = [reply.ok for reply in plain.get(KEYS.scene_object("*"), timeout=PATIENCE)]
     encodings = {str(ok.key_expr): str(ok.encoding) for ok in replies if ok is not None}
     assert encodings == {
-        KEYS.scene_object("ball.1"): "application/json;zarm.Sphere.v3",
-        KEYS.scene_object("table"): "application/json;zarm.Cuboid.v3",
+        KEYS.scene_object("ball.1"): "application/json;zarm.Sphere.v4",
+        KEYS.scene_object("table"): "application/json;zarm.Cuboid.v4",
     }
 
 

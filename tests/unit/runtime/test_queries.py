@@ -233,7 +233,7 @@ def test_an_answer_says_what_it_is(bus: Bus, plain: zenoh.Session) -> None:
     serve(bus, lambda _: ANSWER)
     (reply,) = plain.get(KEYS.fk, payload=encode(REQUEST), timeout=PATIENCE)
     assert reply.ok is not None
-    assert str(reply.ok.encoding) == "application/json;zarm.FkPoses.v3"
+    assert str(reply.ok.encoding) == "application/json;zarm.FkPoses.v4"
 
 
 def test_looking_around_sets_off_no_command(bus: Bus, plain: zenoh.Session) -> None:

@@ -178,10 +178,10 @@ def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_record_of_another_contract_is_refused_with_the_remedy(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("zarm_contract.codec.CONTRACT", "v4")
+    monkeypatch.setattr("zarm_contract.codec.CONTRACT", "v5")
     write(path, [(1, KEYS.joint_states, b"{}")])
     monkeypatch.undo()
     with pytest.raises(
-        InvalidRequest, match="a record of contract v4, and this zarm reads v3; replay it with the zarm"
+        InvalidRequest, match="a record of contract v5, and this zarm reads v4; replay it with the zarm"
     ):
         list(read_record(path))

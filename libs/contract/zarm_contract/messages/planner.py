@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator
 
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.messages.motion import (
@@ -22,10 +22,11 @@ from zarm_contract.messages.motion import (
 )
 from zarm_contract.messages.scene import SceneRevision
 
-Free = Literal["free"]
+Free = Annotated[Literal["free"], Tag("keyword")]
 """A component of a pose that may have any value."""
-DistanceTolerance = Annotated[float, Field(ge=0, le=100)] | Free
-AngleTolerance = Annotated[float, Field(ge=0, le=math.pi)] | Free
+_BoundOrKeyword = Discriminator(lambda bound: "keyword" if isinstance(bound, str) else "bound")
+DistanceTolerance = Annotated[Annotated[float, Field(ge=0, le=100), Tag("bound")] | Free, _BoundOrKeyword]
+AngleTolerance = Annotated[Annotated[float, Field(ge=0, le=math.pi), Tag("bound")] | Free, _BoundOrKeyword]
 
 
 class PoseTolerance(Message):
@@ -76,6 +77,11 @@ class PoseGoal(Message):
     alternatives: tuple[Pose, ...] = Field(default=(), max_length=63)
     tolerance: PoseTolerance | None = None
     tip: TipFrame | None = None
+
+    @property
+    def has_freedom(self) -> bool:
+        """Whether it allows more than one pose of the tip, or is a goal of another frame."""
+        return self.tolerance is not None or self.tip is not None
 
     @property
     def poses(self) -> tuple[Pose, ...]:

@@ -160,7 +160,7 @@ def goal_ends(
 def goal_deviation(context: PlanningContext, goal: Goal, number: int | None, q: Array) -> PoseDeviation | None:
     """By how much the end `q` (dof,) of a motion is off pose `number` of the goal; None for a goal without freedom."""
     last = goal.through[-1] if isinstance(goal, WaypointsGoal) else goal
-    if number is None or not isinstance(last, PoseGoal) or (last.tolerance is None and last.tip is None):
+    if number is None or not isinstance(last, PoseGoal) or not last.has_freedom:
         return None
     return PoseRegion.of(context.model, last.poses[number], last.tolerance, last.tip, "goal").deviation(q)
 
@@ -299,7 +299,7 @@ def _freeing(context: PlanningContext, region: PoseRegion, near: Array) -> str |
 def _target(
     context: PlanningContext, goal: PoseGoal, pose: Pose, field: str, constraint: ConstraintManifold | None
 ) -> _Target:
-    if goal.tolerance is None and goal.tip is None:
+    if not goal.has_freedom:
         return _ExactPose(pose, matrix(pose.position, pose.orientation))
     kept = None if constraint is None else constraint.arrays
     return _Region(PoseRegion.of(context.model, pose, goal.tolerance, goal.tip, f"{field}.tip", kept))
