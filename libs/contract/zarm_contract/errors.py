@@ -92,13 +92,14 @@ class Problem(Message):
     """Why a request was refused, or why a goal did not succeed.
 
     `message` says what to do next. `field` is the path of the wrong field in the request (`goal.position.2`), `joint` the joint
-    with the problem.
+    with the problem. `fraction` (0..1) of a line, arc or path can be followed if not all of it.
     """
 
     code: Code
     message: str
     field: str | None = None
     joint: str | None = None
+    fraction: float | None = None
 
 
 class ZarmError(Exception):
@@ -113,11 +114,12 @@ class ZarmError(Exception):
         code: Code | None = None,
         field: str | None = None,
         joint: str | None = None,
+        fraction: float | None = None,
     ) -> None:
         code = code or self.codes[0]
         if code not in self.codes:
             raise TypeError(f"{type(self).__name__} cannot carry the code {code}")
-        self.problem = Problem(code=code, message=message, field=field, joint=joint)
+        self.problem = Problem(code=code, message=message, field=field, joint=joint, fraction=fraction)
         super().__init__(message)
 
     @property
@@ -192,4 +194,4 @@ if not set(_BY_CODE) == set(MEANINGS) == set(get_args(Code)):
 def from_problem(problem: Problem) -> ZarmError:
     """The exception that stands for a Problem received from another process."""
     cls = _BY_CODE[problem.code]
-    return cls(problem.message, code=problem.code, field=problem.field, joint=problem.joint)
+    return cls(problem.message, code=problem.code, field=problem.field, joint=problem.joint, fraction=problem.fraction)

@@ -91,6 +91,20 @@ class CSpace(_Section):
     """Maximum joint jerks (rad/s³)."""
 
 
+class ToolSpeeds(_Section):
+    """How the tip moves along lines, arcs and paths.
+
+    Source of the defaults: 0.25 m/s is the limit of ISO 10218-1 for reduced speed.
+    """
+
+    speed: Positive = 0.25
+    """Speed of the tip (m/s)."""
+    acceleration: Positive = 1.0
+    """Change of the speed of the tip along its path (m/s²)."""
+    rotational_speed: Positive = 1.0
+    """Speed at which the tip turns (rad/s)."""
+
+
 FaultPolicy = Literal["latch", "clear_at_rest"]
 
 
@@ -225,6 +239,8 @@ class RobotDescriptor(_Section):
     """Pairs that pass each other too closely for their spheres: the search leaves them to the exact check of its result."""
     self_margin: Annotated[float, Field(ge=0, le=0.2)] = 0.005
     """Distance that a plan keeps between links (m), unless its request says another."""
+    tool: ToolSpeeds = ToolSpeeds()
+    """How the tip moves along lines, arcs and paths, unless the request says otherwise."""
     interpolation_dt: Annotated[float, Field(ge=0.001, le=0.1)] = 0.02
     """Maximum time between two samples of a planned trajectory (s)."""
     execution: ExecutionSettings = ExecutionSettings()

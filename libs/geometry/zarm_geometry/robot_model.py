@@ -183,6 +183,10 @@ class RobotModel:
         """The pose of `tip_link` (..., 4, 4) for joints (..., dof)."""
         return self._frames(q, *self._tip)[..., 0, :, :]
 
+    def fk_joint(self, joint: int, q: ArrayLike) -> Array:
+        """The frame (..., 4, 4) that a joint moves for joints (..., dof); -1 is the base."""
+        return self._frames(q, np.array([joint], np.int32), np.eye(4)[None])[..., 0, :, :]
+
     def tip_jacobian(self, q: ArrayLike) -> Array:
         """The tip Jacobian (6, dof) at `q` (dof,): m/rad and rad/rad (m/m and 0 if prismatic), base frame."""
         out = np.empty((1, self.dof + 1, 4, 4))

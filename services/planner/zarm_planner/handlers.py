@@ -173,6 +173,7 @@ class Handlers:
             tip=pose_of(model.fk_tip(trajectory.position[-1])),
             selected_goal_index=verified.goal_pose,
             goal_deviation=verified.deviation,
+            tool=verified.tool,
             clearance=verified.clearance,
             too_near=verified.too_near,
             resolution=RESOLUTION,

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.errors import DeadlineExceeded, InvalidRequest, PlanningFailed
-from zarm_contract.messages import Goal, JointGoal, PoseDeviation, PoseGoal, TooNear, WaypointsGoal
+from zarm_contract.messages import Goal, JointGoal, PoseDeviation, PoseGoal, ToolMotion, TooNear, WaypointsGoal
+from zarm_planner.cartesian.timing import Progress, columns
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.ends import End, goal_deviation
 from zarm_planner.goals.problem import PlanningProblem
@@ -19,6 +20,7 @@ from zarm_planner.timing.improvement import GAIN
 from zarm_planner.timing.rounding import rounded
 from zarm_planner.timing.smoothing import least_duration
 from zarm_planner.verification.margins import too_near
+from zarm_planner.verification.tool_path import verify_tool_path
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_planner.verification.waypoints import passing_times
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -36,7 +38,7 @@ class Verified:
     """A trajectory that may be executed; `clearance` in m, `waypoint_times` in s.
 
     `goal_pose` is the index of the goal's pose that it reaches, if any, `deviation` (6,) how far off it, if that is
-    allowed, and `too_near` the margins that it does not keep.
+    allowed, `too_near` the margins that it does not keep, and `tool` how the tip moves along a curve.
     """
 
     trajectory: TimedTrajectory
@@ -45,6 +47,7 @@ class Verified:
     goal_pose: int | None
     too_near: tuple[TooNear, ...]
     deviation: PoseDeviation | None
+    tool: ToolMotion | None
 
     def shifted(self, turns: Array) -> Verified:
         """The same motion after whole turns (dof,) in rad of continuous joints."""
@@ -66,7 +69,7 @@ def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal, m
     except (PlanningFailed, InvalidRequest, DeadlineExceeded):
         context.check_assumptions()
         raise
-    if context.optimize_s > 0.0:
+    if context.optimize_s > 0.0 and problem.targets:
         with context.timer.stage("optimize"):
             verified = _fastest(planner, context.with_seed(seed).for_optimization(), problem, verified)
         if context.deadline.cancelled:
@@ -162,11 +165,20 @@ def _fastest(planner: Planner, context: PlanningContext, problem: PlanningProble
 
 def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: TimedTrajectory) -> Verified:
     """The trajectory with its clearance. Raises VerificationFailed and the deadline's error."""
-    limits, check, ends = context.limits, context.deadline.check, problem.targets[-1]
+    limits, check = context.limits, context.deadline.check
+    progress: Progress | None = None
+    if problem.tool_task is not None:
+        progress = Progress.of(trajectory, context.model.dof)
+        trajectory = columns(trajectory, slice(context.model.dof))
     trajectory = rounded(trajectory, limits)
+    ends = problem.targets[-1] if problem.targets else (End.at(trajectory.end),)
     end = ends[np.abs(problem.goals - trajectory.position[-1]).max(axis=1).argmin()] if len(ends) > 1 else ends[0]
     start, motion = problem.beginning
     clearance = verify(trajectory, start, end.asked, limits, context.exact, check, problem.constraint, motion)
+    tool: ToolMotion | None = None
+    if problem.tool_task is not None and progress is not None:
+        verify_tool_path(problem.tool_task, trajectory, progress)
+        tool = progress.message(problem.tool_task.curve)
     times: tuple[float, ...] = ()
     if isinstance(problem.goal, WaypointsGoal):
         waypoints = [*map(_with_poses_of_their_own, problem.goal.through, problem.targets)]
@@ -176,7 +188,7 @@ def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: Ti
     if clearance < max(context.world.margin, context.scene.self_margin):
         nearer = too_near(context.scene, trajectory, clearance, check)
     deviation = goal_deviation(context, problem.goal, end.pose, trajectory.position[-1])
-    return Verified(trajectory, clearance, times, end.pose, nearer, deviation)
+    return Verified(trajectory, clearance, times, end.pose, nearer, deviation, tool)
 
 
 def _with_poses_of_their_own(waypoint: PoseGoal | JointGoal, ends: Sequence[End]) -> Array:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.messages.motion import (
@@ -110,10 +110,78 @@ class WaypointsGoal(Message):
     angle_tolerance: Annotated[float, Field(ge=0.001, le=0.5)] = 0.02
 
 
-Goal = Annotated[PoseGoal | JointGoal | WaypointsGoal, Field(discriminator="kind")]
+class ToolPathGoal(Message):
+    """What `line`, `arc` and `path` have in common: the tip moves from where it is along a curve that is given.
+
+    Along it the tip deviates by at most 0.1 mm and 0.1 deg. It moves with `speed` (m/s) and turns with `rotational_speed` (rad/s)
+    at most, keeps the one that takes longer wherever the joints allow, and changes them by at most `acceleration` (m/s²) and its
+    equivalent for turning, the one that brings it to its rotational speed in the same time; by default as in the descriptor's `tool`. The
+    orientation is `interpolated` between those of the points, `fixed` as at the start, or turns with the `tangent` of the curve. It may be off by
+    `orientation_tolerance` (rad, by axis of the tip, from 0 to `"free"`) as in `PoseTolerance`. `tip` names another frame than the
+    descriptor's `tip_link`.
+    """
+
+    speed: Annotated[float, Field(gt=0, le=20)] | None = None
+    acceleration: Annotated[float, Field(gt=0, le=200)] | None = None
+    rotational_speed: Annotated[float, Field(gt=0, le=50)] | None = None
+    orienting: Literal["interpolated", "fixed", "tangent"] = "interpolated"
+    orientation_tolerance: tuple[AngleTolerance, AngleTolerance, AngleTolerance] = (0.0, 0.0, 0.0)
+    tip: TipFrame | None = None
+
+
+class LineGoal(ToolPathGoal):
+    """Move the tip on a straight line to `position` (m) in the base frame; without an `orientation` it keeps its own."""
+
+    kind: Literal["line"]
+    position: Vector3
+    orientation: Quaternion | None = None
+
+
+class ArcGoal(ToolPathGoal):
+    """Move the tip on a circular arc to `position` (m) in the base frame; without an `orientation` it keeps its own.
+
+    The arc leads through the point `via` (m), or around `center` (m), then the shorter way. Give one of them.
+    """
+
+    kind: Literal["arc"]
+    position: Vector3
+    orientation: Quaternion | None = None
+    via: Vector3 | None = None
+    center: Vector3 | None = None
+
+    @model_validator(mode="after")
+    def _via_or_center(self) -> Self:
+        if (self.via is None) == (self.center is None):
+            raise ValueError("an arc needs either via, a point on it, or center; give one of them")
+        return self
+
+
+class PathPoint(Message):
+    """A point of a path: `position` (m) in the base frame; without an `orientation` the tip keeps that of the point before."""
+
+    position: Vector3
+    orientation: Quaternion | None = None
+
+
+class PathGoal(ToolPathGoal):
+    """Move the tip through `points`: on straight lines whose corners are rounded, or with `shape` `spline` on a smooth curve.
+
+    A corner is left at most `blend` (m) before and after its point, by default 0.01 m or 0.4 of the shorter line. With `blend` 0 the
+    tip comes to rest there.
+    """
+
+    kind: Literal["path"]
+    points: tuple[PathPoint, ...] = Field(min_length=1, max_length=1000)
+    shape: Literal["polyline", "spline"] = "polyline"
+    blend: Annotated[float, Field(ge=0, le=10)] | None = None
+
+
+CartesianGoal = LineGoal | ArcGoal | PathGoal
+"""A goal that says along which curve the tip moves."""
+Goal = Annotated[PoseGoal | JointGoal | WaypointsGoal | CartesianGoal, Field(discriminator="kind")]
 
 PlannerKind = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
-"""A planner of the planner process: `classic` goes to a pose, `joint_space` to joint positions, `multi_point` through waypoints; `auto`: the goal decides."""
+"""A planner of the planner process: `classic` goes to a pose, `joint_space` to joint positions, `multi_point` through waypoints, `cartesian` along lines, arcs and paths; `auto`: the goal decides."""
 
 
 class PathConstraint(Message):
@@ -205,6 +273,17 @@ PoseDeviation = tuple[float, float, float, float, float, float]
 """How far a pose is from another: `[theta_x, theta_y, theta_z, x, y, z]` in rad and m."""
 
 
+class ToolMotion(Message):
+    """How the tip moves along a `line`, `arc` or `path` of `length` (m): with at most `speed` (m/s), which it keeps on the share
+    `speed_share` (0..1) of its way, or turns with `rotational_speed` (rad/s). Elsewhere the joints or its acceleration demand less.
+    """
+
+    length: NonNegative
+    speed: Positive
+    rotational_speed: Positive
+    speed_share: Annotated[float, Field(ge=0, le=1)]
+
+
 class TooNear(Message):
     """A link comes nearer to an object or another link than the `margin` (m): `distance` m at `time` s of the trajectory."""
 
@@ -222,7 +301,8 @@ class Plan(Message):
     passed. `path_length` is the length in joint space (rad, Euclidean). `tip` is the pose at the end. `selected_goal_index`
     says which pose of a pose goal that is: 0 is its own, k its k-th alternative. With waypoints it belongs to the last one.
     It is left out if the motion ends at a joint goal. `goal_deviation` says how a goal's tolerance is used: the components
-    `[theta_x, theta_y, theta_z, x, y, z]` (rad, m) by which the end is off that pose, see `PoseTolerance`.
+    `[theta_x, theta_y, theta_z, x, y, z]` (rad, m) by which the end is off that pose, see `PoseTolerance`. `tool` is given for lines,
+    arcs and paths.
     """
 
     plan_id: Name
@@ -233,6 +313,7 @@ class Plan(Message):
     tip: Pose
     selected_goal_index: Annotated[int, Field(ge=0)] | None = None
     goal_deviation: PoseDeviation | None = None
+    tool: ToolMotion | None = None
     clearance: float
     too_near: tuple[TooNear, ...] = ()
     resolution: Positive

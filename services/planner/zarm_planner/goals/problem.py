@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.errors import PlanningFailed
-from zarm_contract.messages import Goal, JointGoal, PoseGoal, WaypointsGoal
+from zarm_contract.messages import CartesianGoal, Goal, JointGoal, PoseGoal, WaypointsGoal
+from zarm_planner.cartesian.task import ToolTask
 from zarm_planner.constraints.path_constraint import ConstraintManifold, constrains
 from zarm_planner.context import PlanningContext
-from zarm_planner.goals.ends import End, goal_ends, start_end
+from zarm_planner.goals.ends import End, check_start, goal_ends, start_end
 from zarm_planner.goals.moving_start import moving_start
 from zarm_planner.timing.lead_in import LeadIn
 
@@ -25,7 +26,8 @@ class PlanningProblem:
     """A start and the targets in order, the last of which is the goal; each can be reached in one or several ways.
 
     `goal` is the requested one. `constraint`, if any, is kept from the start on. If the robot is in motion, `lead_in`
-    is how it may brake, and `start` is where it then comes to rest.
+    is how it may brake, and `start` is where it then comes to rest. For a goal along a curve there is a `tool_task` in
+    place of targets.
     """
 
     start: End
@@ -33,6 +35,7 @@ class PlanningProblem:
     goal: Goal
     constraint: ConstraintManifold | None
     lead_in: LeadIn | None = None
+    tool_task: ToolTask | None = None
 
     @classmethod
     def of(cls, context: PlanningContext, start: Array, goal: Goal, motion: Array | None = None) -> PlanningProblem:
@@ -44,6 +47,9 @@ class PlanningProblem:
         a goal that breaks the constraint, and the deadline's error.
         """
         model, constraint = context.model, None
+        if isinstance(goal, CartesianGoal):
+            check_start(context, start)
+            return cls(End.at(start), (), goal, None, tool_task=ToolTask.of(context, goal, start))
         if constrains(context.path_constraint):
             constraint = ConstraintManifold.of(model, context.path_constraint, model.fk_tip(start))
         lead_in: LeadIn | None = None

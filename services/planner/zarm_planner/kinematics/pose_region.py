@@ -57,7 +57,7 @@ class PoseRegion:
         """The region around a goal's `pose`. Raises InvalidRequest for a `tip` that the robot lacks, in the request's
         `field`.
         """
-        joint, frame = _tip_frame(model, tip, field)
+        joint, frame = tip_frame(model, tip, field)
         middle, allowed = matrix(pose.position, pose.orientation), tolerance or PoseTolerance()
         own = np.ascontiguousarray(middle[:3, :3].T)
         frames, joints, poses = [frame], [joint], [middle]
@@ -158,7 +158,7 @@ class PoseRegion:
         return tuple(names)
 
 
-def _tip_frame(model: RobotModel, tip: TipFrame | None, field: str) -> tuple[int, Array]:
+def tip_frame(model: RobotModel, tip: TipFrame | None, field: str) -> tuple[int, Array]:
     """The joint that carries the tip of a goal, -1 for the base, and the tip (4, 4) in that joint's frame.
 
     Raises InvalidRequest for a link that is not the robot's, or is moved by other joints, or not at all.

@@ -7,12 +7,14 @@ from collections.abc import Sequence
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Goal
 from zarm_planner.planners.base import Planner
+from zarm_planner.planners.cartesian import CartesianPlanner
 from zarm_planner.planners.constrained import ConstrainedPlanner
 from zarm_planner.planners.free import FreePlanner
 
 PLANNERS: tuple[Planner, ...] = (
     FreePlanner(),
     ConstrainedPlanner(),
+    CartesianPlanner(),
 )
 """Add new planners here. The first that fits is the default when a request names none."""
 

@@ -58,7 +58,7 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Timed
     if (
         len(edges) > 1
         and deviation > 0
-        and (fastest := _fastest(round_corners(path, deviation), limits, dt, _STEP, _STEPS))
+        and (fastest := fastest_along(round_corners(path, deviation), limits, dt, _STEP, _STEPS))
     ):
         with suppress(InvalidRequest):  # rounding a tiny corner may take longer than stopping there
             trajectory = within(partial(fastest.sample, dt=dt), limits)
@@ -112,12 +112,12 @@ def time_curve(curve: TimedTrajectory, limits: Limits, dt: float) -> TimedTrajec
     Raises InvalidRequest if the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """
     dt = min(dt, _SAMPLING)
-    fastest = _fastest(curve, limits, dt, _CURVE_STEP, 1)
+    fastest = fastest_along(curve, limits, dt, _CURVE_STEP, 1)
     return None if fastest is None else within(partial(fastest.sample, dt=dt), limits)
 
 
 @dataclass(frozen=True)
-class _Profile:
+class Profile:
     """The motion along a curve: velocity `sd` (m,) at lengths `s` (m,), reached at times `t` (m,), with constant
     acceleration in between; all averaged over `window` s, which prolongs it by as much.
     """
@@ -130,6 +130,7 @@ class _Profile:
 
     @property
     def duration(self) -> float:
+        """Its shortest duration (s)."""
         return float(self.t[-1]) + self.window
 
     def sample(self, factor: float, dt: float) -> TimedTrajectory:
@@ -156,7 +157,7 @@ class _Profile:
         return area[i] + x * (s + x * (sd / 2 + x * sdd / 6)) + after_end, s + x * (sd + x * sdd / 2), sd + x * sdd
 
 
-def _straight(a: Array, b: Array, limits: Limits, dt: float) -> _Profile:
+def _straight(a: Array, b: Array, limits: Limits, dt: float) -> Profile:
     """From `a` to `b`: accelerate, keep the speed if there is room for it, brake."""
     edge = np.abs(b - a)
     length = float(np.linalg.norm(edge))
@@ -170,7 +171,7 @@ def _straight(a: Array, b: Array, limits: Limits, dt: float) -> _Profile:
     sd = np.array([0.0, *[top] * (len(steps) - 1), 0.0])
     t = np.cumsum(steps * 2 / (sd[1:] + sd[:-1]))
     curve = round_corners(np.stack([a, b]), 0.0)
-    return _Profile(curve, np.insert(np.cumsum(steps), 0, 0.0), sd, np.insert(t, 0, 0.0), used.window)
+    return Profile(curve, np.insert(np.cumsum(steps), 0, 0.0), sd, np.insert(t, 0, 0.0), used.window)
 
 
 class _ToppraPath:
@@ -185,7 +186,9 @@ class _ToppraPath:
         return np.asarray(self._curve.sample(s)[order])
 
 
-def _fastest(curve: TimedTrajectory, limits: Limits, dt: float, step: float, least: int) -> _Profile | None:
+def fastest_along(
+    curve: TimedTrajectory, limits: Limits, dt: float, step: float = math.inf, least: int = 1
+) -> Profile | None:
     """TOPPRA under the limits on velocity and acceleration, at points at most `step` (rad) apart, `least` on each piece
     of the curve; None if it fails numerically.
     """
@@ -205,7 +208,7 @@ def _fastest(curve: TimedTrajectory, limits: Limits, dt: float, step: float, lea
     if sd is None or not np.all(np.isfinite(sd)) or np.any(sd[1:] + sd[:-1] <= 0.0):
         return None
     t = np.insert(np.cumsum(2 * np.diff(s) / (sd[1:] + sd[:-1])), 0, 0.0)
-    return _Profile(curve, s, sd, t, used.window)
+    return Profile(curve, s, sd, t, used.window)
 
 
 @lru_cache(maxsize=16)

@@ -1,0 +1,1 @@
+"""Motions of the tip along a given curve: lines, arcs and paths."""

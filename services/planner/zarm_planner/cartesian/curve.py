@@ -1,0 +1,373 @@
+"""The curve along which the tip moves: its pose as a function of a parameter, twice continuously differentiable."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import ArcGoal, CartesianGoal, LineGoal, PathGoal, Quaternion
+from zarm_geometry.frames import rotation
+
+Array = NDArray[np.float64]
+
+_SAME = 1e-6
+"""m and rad: points that are nearer to each other than this are one."""
+_BLEND = 0.01, 0.4
+"""m, and share of the shorter line: where a corner is left unless the goal says otherwise."""
+_BACK = -0.9995
+"""Cosine of a turn that doubles back: less than 2 deg from half a turn."""
+_SPACING = 0.01, math.radians(2.0)
+"""m and rad between two stations."""
+_FEWEST = 12
+"""Least intervals between stations on a line or an arc."""
+_CORNER = 8
+"""Intervals between stations in a corner."""
+_TRANSPORT = 2000
+"""Steps in which an orientation follows the tangent of a spline."""
+
+
+class _Poses(Protocol):
+    """Positions (n, 3) and orientations at parameters (n,)."""
+
+    def __call__(self, u: Array) -> tuple[Array, Rotation]: ...
+
+
+@dataclass(frozen=True)
+class ToolCurve:
+    """A curve of poses in the base frame, from 0 to `end`; the tip rests at `rests`, both ends included.
+
+    `stations` are parameters at which it is solved. `speed` (m/s), `acceleration` (m/s^2) and `rotational_speed` (rad/s)
+    bound the motion along it. By a step 1 of the parameter the tip moves about as far as in 1 / `speed` s.
+    """
+
+    at: _Poses
+    rests: tuple[float, ...]
+    stations: Array
+    speed: float
+    acceleration: float
+    rotational_speed: float
+
+    @property
+    def sections(self) -> tuple[tuple[int, int], ...]:
+        """The first and last station of each part between two rests."""
+        at = np.searchsorted(self.stations, np.array(self.rests) - 1e-9).tolist()
+        return tuple(itertools.pairwise(at))
+
+    def poses(self, u: Array) -> Array:
+        """The poses (n, 4, 4) at parameters (n,)."""
+        out = np.zeros((len(u), 4, 4))
+        out[:, 3, 3] = 1.0
+        out[:, :3, 3], turned = self.at(u)
+        out[:, :3, :3] = turned.as_matrix()
+        return out
+
+    def refined(self) -> ToolCurve:
+        """The same curve with a station between any two."""
+        between = (self.stations[1:] + self.stations[:-1]) / 2.0
+        return ToolCurve(
+            self.at,
+            self.rests,
+            np.sort(np.concatenate((self.stations, between))),
+            self.speed,
+            self.acceleration,
+            self.rotational_speed,
+        )
+
+
+@dataclass(frozen=True)
+class _Speeds:
+    speed: float
+    acceleration: float
+    rotational_speed: float
+
+    def extent(self, length: float, angle: float) -> float:
+        """The parameter that a stretch of `length` m and `angle` rad takes."""
+        return max(length, angle * self.speed / self.rotational_speed)
+
+
+def tool_curve(goal: CartesianGoal, start: Array, speeds: tuple[float, float, float], field: str) -> ToolCurve:
+    """The curve of a goal, from the pose `start` (4, 4) of the tip; `speeds` are the default speed, acceleration and
+    rotational speed.
+
+    Raises InvalidRequest that names the field for a curve without extent, an arc through collinear points, corners
+    larger than their lines, and a path that doubles back.
+    """
+    used = _Speeds(goal.speed or speeds[0], goal.acceleration or speeds[1], goal.rotational_speed or speeds[2])
+    begin = Rotation.from_matrix(start[:3, :3])
+    if isinstance(goal, LineGoal):
+        return _line(goal, start[:3, 3], begin, used, field)
+    if isinstance(goal, ArcGoal):
+        return _arc(goal, start[:3, 3], begin, used, field)
+    return _path(goal, start[:3, 3], begin, used, field)
+
+
+def _oriented(goal: CartesianGoal, begin: Rotation, asked: Quaternion | None) -> Rotation:
+    """The orientation at a point, for `interpolated` and `fixed`."""
+    if asked is None or goal.orienting == "fixed":
+        return begin
+    return Rotation.from_matrix(rotation(asked))
+
+
+def _stations(extent: float, length: float, angle: float) -> Array:
+    count = max(_FEWEST, math.ceil(length / _SPACING[0]), math.ceil(angle / _SPACING[1]))
+    return np.linspace(0.0, extent, count + 1)
+
+
+def _line(goal: LineGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str) -> ToolCurve:
+    b = np.array(goal.position)
+    turn = (begin.inv() * _oriented(goal, begin, goal.orientation)).as_rotvec()
+    if goal.orienting == "tangent":
+        turn = np.zeros(3)
+    length, angle = float(np.linalg.norm(b - a)), float(np.linalg.norm(turn))
+    _has_extent(length, angle, field)
+    extent = speeds.extent(length, angle)
+
+    def at(u: Array) -> tuple[Array, Rotation]:
+        share = (u / extent)[:, None]
+        return a + share * (b - a), begin * Rotation.from_rotvec(share * turn)
+
+    return ToolCurve(at, (0.0, extent), _stations(extent, length, angle), *_values(speeds))
+
+
+def _arc(goal: ArcGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str) -> ToolCurve:
+    b = np.array(goal.position)
+    center, normal, sweep = _around(goal, a, b, field)
+    x = a - center
+    y = np.cross(normal, x)
+    turn = (begin.inv() * _oriented(goal, begin, goal.orientation)).as_rotvec()
+    length, angle = sweep * float(np.linalg.norm(x)), float(np.linalg.norm(turn))
+    if goal.orienting == "tangent":
+        angle = sweep
+    extent = speeds.extent(length, angle)
+
+    def at(u: Array) -> tuple[Array, Rotation]:
+        share = (u / extent)[:, None]
+        phi = sweep * share
+        position = center + np.cos(phi) * x + np.sin(phi) * y
+        if goal.orienting == "tangent":
+            return position, Rotation.from_rotvec(phi * normal) * begin
+        return position, begin * Rotation.from_rotvec(share * turn)
+
+    return ToolCurve(at, (0.0, extent), _stations(extent, length, max(angle, sweep)), *_values(speeds))
+
+
+def _around(goal: ArcGoal, a: Array, b: Array, field: str) -> tuple[Array, Array, float]:
+    """The centre (3,), the unit normal (3,) and the angle (rad) of an arc from `a` to `b` (3,)."""
+    if goal.via is not None:
+        via = np.array(goal.via)
+        p, q = via - a, b - a
+        normal = np.cross(p, q)
+        square = float(normal @ normal)
+        widest = max(float(p @ p), float(q @ q))
+        if square < (1e-4 * widest) ** 2 or widest < _SAME**2:
+            raise InvalidRequest(
+                "the start, via and position lie on a line, and no arc leads through them; move via aside, or ask for a line",
+                field=f"{field}.via",
+            )
+        center = a + np.cross((p @ p) * q - (q @ q) * p, normal) / (2.0 * square)
+        normal = normal / math.sqrt(square)
+        sweep = _angle(a - center, b - center, normal)
+        return center, normal, sweep
+    center = np.array(goal.center)
+    p, q = a - center, b - center
+    radii = float(np.linalg.norm(p)), float(np.linalg.norm(q))
+    if abs(radii[0] - radii[1]) > 1e-4 or min(radii) < _SAME:
+        raise InvalidRequest(
+            f"the center is {1e3 * radii[0]:.2f} mm from the start and {1e3 * radii[1]:.2f} mm from position; it is as far from "
+            "both on an arc",
+            field=f"{field}.center",
+        )
+    normal = np.cross(p, q)
+    if np.linalg.norm(normal) < 1e-4 * radii[0] * radii[1]:
+        raise InvalidRequest(
+            "the start, center and position lie on a line, so that they do not say in which plane the arc is; give via",
+            field=f"{field}.center",
+        )
+    normal /= np.linalg.norm(normal)
+    return center, normal, _angle(p, q, normal)
+
+
+def _angle(p: Array, q: Array, normal: Array) -> float:
+    """The angle (0..2 pi) from `p` to `q` about `normal` (3,)."""
+    return math.atan2(float(np.cross(p, q) @ normal), float(p @ q)) % (2.0 * math.pi)
+
+
+def _path(goal: PathGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str) -> ToolCurve:
+    points, turns, names = [a], [begin], ["start"]
+    for number, point in enumerate(goal.points):
+        there = np.array(point.position)
+        turned = _oriented(goal, turns[-1], point.orientation)
+        near = np.linalg.norm(there - points[-1]) < _SAME and (turns[-1].inv() * turned).magnitude() < _SAME
+        if near and number == 0:  # a path that names its start
+            continue
+        if near:
+            raise InvalidRequest("this point is the one before it; leave it out", field=f"{field}.points.{number}")
+        points.append(there)
+        turns.append(turned)
+        names.append(f"points.{number}")
+    if len(points) < 2:
+        raise InvalidRequest("the path has no extent: it only names its start; add points", field=f"{field}.points")
+    if goal.shape == "spline":
+        return _spline(goal, np.array(points), turns, speeds)
+    return _polyline(goal, np.array(points), turns, speeds, [f"{field}.{name}" for name in names], field)
+
+
+def _spline(goal: PathGoal, points: Array, turns: Sequence[Rotation], speeds: _Speeds) -> ToolCurve:
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    angles = [(p.inv() * q).magnitude() for p, q in itertools.pairwise(turns)]
+    steps = [speeds.extent(length, angle) for length, angle in zip(lengths.tolist(), angles, strict=True)]
+    knots = np.insert(np.cumsum(steps), 0, 0.0)
+    end = float(knots[-1])
+    curve = CubicSpline(knots, points)
+    turned = RotationSpline(knots, Rotation.concatenate(turns))
+    if goal.orienting == "tangent":
+        fine = np.linspace(0.0, end, _TRANSPORT + 1)
+        turned = RotationSpline(fine, _transported(turns[0], curve(fine, 1)))
+
+    def at(u: Array) -> tuple[Array, Rotation]:
+        return curve(u), turned(u)
+
+    counts = [
+        max(4, math.ceil(length / _SPACING[0]), math.ceil(angle / _SPACING[1]))
+        for length, angle in zip(lengths.tolist(), angles, strict=True)
+    ]
+    return ToolCurve(at, (0.0, end), _divided(knots, counts), *_values(speeds))
+
+
+def _transported(begin: Rotation, tangents: Array) -> Rotation:
+    """The orientation `begin` carried along tangents (n, 3), each time by the smallest rotation between them."""
+    along = tangents / np.linalg.norm(tangents, axis=1, keepdims=True)
+    steps = _smallest_turns(along)
+    turned = [begin]
+    for step in steps:
+        turned.append(step * turned[-1])
+    return Rotation.concatenate(turned)
+
+
+def _smallest_turns(along: Array) -> Rotation:
+    """The smallest rotations between consecutive directions (n, 3)."""
+    axes = np.cross(along[:-1], along[1:])
+    sines = np.linalg.norm(axes, axis=1, keepdims=True)
+    angles = np.arctan2(sines, np.sum(along[:-1] * along[1:], axis=1, keepdims=True))
+    return Rotation.from_rotvec(axes * np.where(sines > 1e-12, angles / np.maximum(sines, 1e-12), 1.0))
+
+
+def _polyline(
+    goal: PathGoal, points: Array, turns: Sequence[Rotation], speeds: _Speeds, names: Sequence[str], field: str
+) -> ToolCurve:
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if goal.orienting == "tangent":
+        from_turns, vectors = _along_lines(goal, points, lengths, turns[0], field), np.zeros((len(lengths), 3))
+    else:
+        from_turns = Rotation.concatenate(turns[:-1])
+        vectors = (from_turns.inv() * Rotation.concatenate(turns[1:])).as_rotvec()
+    angles = np.linalg.norm(vectors, axis=1)
+    steps = np.array([speeds.extent(length, angle) for length, angle in zip(lengths, angles, strict=True)])
+    knots = np.insert(np.cumsum(steps), 0, 0.0)
+    half = _corners(goal, points, lengths, steps, names, field)
+    rate = np.diff(points, axis=0) / steps[:, None]
+    spin = vectors / steps[:, None]
+
+    def on_line(number: NDArray[np.int64], u: Array) -> tuple[Array, Rotation]:
+        past = (u - knots[number])[:, None]
+        return points[number] + past * rate[number], from_turns[number] * Rotation.from_rotvec(past * spin[number])
+
+    def at(u: Array) -> tuple[Array, Rotation]:
+        number = np.clip(np.searchsorted(knots, u, side="right") - 1, 0, len(steps) - 1)
+        corner = number + (u - knots[number] > steps[number] / 2.0)  # the nearer end of the line
+        width = half[corner]
+        rounded = np.abs(u - knots[corner]) < width
+        before = np.where(rounded, corner - 1, number)
+        position, turned = on_line(before, u)
+        if not rounded.any():
+            return position, turned
+        then, after = on_line(np.where(rounded, corner, number), u)
+        x = np.where(rounded, (u - knots[corner]) / np.maximum(width, 1e-12) / 2.0 + 0.5, 0.0)
+        share = (x**3 * (10.0 + x * (6.0 * x - 15.0)))[:, None]
+        return position + share * (then - position), turned * Rotation.from_rotvec(
+            share * (turned.inv() * after).as_rotvec()
+        )
+
+    rests = [0.0, *knots[1:-1][half[1:-1] <= 0.0].tolist(), float(knots[-1])]
+    edges, counts = [0.0], []
+    for i, (length, angle) in enumerate(zip(lengths.tolist(), angles.tolist(), strict=True)):
+        inner = knots[i] + half[i], knots[i + 1] - half[i + 1]
+        if half[i] > 0.0:
+            edges.append(inner[0])
+            counts.append(_CORNER)
+        straight = max((inner[1] - inner[0]) / steps[i], 0.0)
+        if straight > 1e-9:
+            few = _FEWEST if len(steps) == 1 else 2
+            edges.append(inner[1])
+            counts.append(
+                max(few, math.ceil(straight * length / _SPACING[0]), math.ceil(straight * angle / _SPACING[1]))
+            )
+    return ToolCurve(at, tuple(rests), _divided(np.array(edges), counts), *_values(speeds))
+
+
+def _along_lines(goal: PathGoal, points: Array, lengths: Array, begin: Rotation, field: str) -> Rotation:
+    """The orientation on each line of a polyline that turns with it. Raises InvalidRequest if the tip would have to turn
+    on the spot.
+    """
+    if len(lengths) > 1 and (goal.blend == 0.0 or lengths.min() < _SAME):
+        raise InvalidRequest(
+            "with the tangent the tip would turn on the spot at a corner; allow a blend", field=f"{field}.blend"
+        )
+    return _transported(begin, np.diff(points, axis=0))
+
+
+def _corners(goal: PathGoal, points: Array, lengths: Array, steps: Array, names: Sequence[str], field: str) -> Array:
+    """How far (n,) before and after each point its corner is rounded, in the curve's parameter; 0 at both ends.
+
+    Raises InvalidRequest that names the point.
+    """
+    half = np.zeros(len(points))
+    for i in range(1, len(points) - 1):
+        before, after = lengths[i - 1], lengths[i]
+        if min(before, after) < _SAME:  # the tip turns on the spot
+            half[i] = 0.0 if goal.blend == 0.0 else _BLEND[1] * min(steps[i - 1], steps[i])
+            continue
+        distance = min(_BLEND[0], _BLEND[1] * min(before, after)) if goal.blend is None else goal.blend
+        if distance == 0.0:
+            continue
+        cosine = float((points[i] - points[i - 1]) @ (points[i + 1] - points[i])) / (before * after)
+        if cosine < _BACK:
+            raise InvalidRequest(
+                "the path doubles back here; set blend to 0, so that the tip comes to rest, or end the path here",
+                field=names[i],
+            )
+        half[i] = distance * min(steps[i - 1] / before, steps[i] / after)
+    for i in range(len(points) - 1):
+        if half[i] + half[i + 1] > steps[i] * (1.0 + 1e-9):
+            raise InvalidRequest(
+                f"a blend of {1e3 * (goal.blend or 0.0):.1f} mm does not fit on the line of {1e3 * lengths[i]:.1f} mm to "
+                f"{names[i + 1]}; lower blend, or leave out a point",
+                field=f"{field}.blend",
+            )
+    return half
+
+
+def _divided(edges: Array, counts: Sequence[int]) -> Array:
+    """Stations at the edges (n + 1,), with each of the n intervals between them divided into so many."""
+    parts = [np.linspace(a, b, count + 1)[1:] for a, b, count in zip(edges[:-1], edges[1:], counts, strict=True)]
+    return np.concatenate((edges[:1], *parts))
+
+
+def _values(speeds: _Speeds) -> tuple[float, float, float]:
+    return speeds.speed, speeds.acceleration, speeds.rotational_speed
+
+
+def _has_extent(length: float, angle: float, field: str) -> None:
+    if length < _SAME and angle < _SAME:
+        raise InvalidRequest(
+            "the line has no extent: the tip is there already; choose another point", field=f"{field}.position"
+        )

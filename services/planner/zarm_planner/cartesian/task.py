@@ -1,0 +1,67 @@
+"""What a motion along a curve has to do: which frame follows which curve, and how closely."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from zarm_contract.messages import CartesianGoal, PoseTolerance
+from zarm_geometry.frames import pose_of
+from zarm_planner.cartesian.curve import ToolCurve, tool_curve
+from zarm_planner.context import PlanningContext
+from zarm_planner.kernels.pose_region import COMPONENTS
+from zarm_planner.kernels.tool_path import deviations_along
+from zarm_planner.kinematics.pose_region import PoseRegion, tip_frame
+
+Array = NDArray[np.float64]
+
+DISTANCE = 1e-4
+"""m by which the tip may leave the curve."""
+ANGLE = math.radians(0.1)
+"""rad by which its orientation may, beyond what the goal allows."""
+
+
+@dataclass(frozen=True)
+class ToolTask:
+    """A curve, and the frame of the robot that follows it with the freedom of `region`."""
+
+    curve: ToolCurve
+    region: PoseRegion
+
+    @classmethod
+    def of(cls, context: PlanningContext, goal: CartesianGoal, start: Array) -> Self:
+        """The task of a goal, from the joints `start` (dof,). Raises InvalidRequest that names the field of the request."""
+        model, tool = context.model, context.model.robot.descriptor.tool
+        tolerance = PoseTolerance(orientation=goal.orientation_tolerance)
+        joint, frame = tip_frame(model, goal.tip, "goal.tip")
+        begin = model.fk_joint(joint, start) @ frame
+        speeds = tool.speed, tool.acceleration, tool.rotational_speed
+        curve = tool_curve(goal, begin, speeds, "goal")
+        return cls(curve, PoseRegion.of(model, pose_of(begin), tolerance, goal.tip, "goal.tip"))
+
+    def use(self, parameters: Array, joints: Array) -> Array:
+        """The share (n,) of the permitted deviation by which the frame at `joints` (n, dof) is off the curve at
+        `parameters` (n,).
+        """
+        out = np.empty((len(joints), COMPONENTS))
+        regions = self.region.arrays
+        regions = regions._replace(pose=regions.pose.copy(), turn=regions.turn.copy(), shift=regions.shift.copy())
+        deviations_along(regions, self.curve.poses(parameters), np.ascontiguousarray(joints), out)
+        turned = np.maximum(np.abs(out[:, :3]) - regions.tolerance[0, :3], 0.0).max(axis=1)
+        return np.asarray(np.maximum(out[:, 6] / DISTANCE, turned / ANGLE))
+
+    def use_between(self, curve: ToolCurve, path: Array) -> float:
+        """The largest use halfway between the stations of `curve`, of the smooth curve through the joints `path` (n, dof)
+        there.
+        """
+        worst = 0.0
+        for first, last in curve.sections:
+            stations = curve.stations[first : last + 1]
+            middles = (stations[1:] + stations[:-1]) / 2.0
+            worst = max(worst, float(self.use(middles, CubicSpline(stations, path[first : last + 1])(middles)).max()))
+        return worst

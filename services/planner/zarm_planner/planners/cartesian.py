@@ -1,0 +1,60 @@
+"""Motions of the tip along a line, an arc or a path, with the speed that is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.errors import InvalidRequest, PlanningFailed
+from zarm_planner.cartesian.curve import ToolCurve
+from zarm_planner.cartesian.following import Following
+from zarm_planner.cartesian.task import ToolTask
+from zarm_planner.cartesian.timing import time_along
+from zarm_planner.context import PlanningContext
+from zarm_planner.goals.problem import PlanningProblem
+from zarm_planner.planners.base import Planner
+from zarm_planner.timing.toppra_loading import await_toppra, load_toppra
+from zarm_trajectory.trajectory import TimedTrajectory
+
+Array = NDArray[np.float64]
+
+_NAME = "cartesian"
+_REFINEMENTS = 4
+"""How often the stations may be doubled."""
+_SHARE = 0.3
+"""Share of the permitted deviation that the joints may use between two stations."""
+
+
+class CartesianPlanner(Planner):
+    """Along a curve of the tip."""
+
+    names = {"line": _NAME, "arc": _NAME, "path": _NAME}  # noqa: RUF012
+
+    def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
+        """The motion along the curve, with the columns of its progress; there is no other."""
+        if (task := problem.tool_task) is None:
+            raise InvalidRequest("there is no curve to follow; ask for a line, an arc or a path", field="goal")
+        load_toppra()
+        curve, path = self._followed(context, task, problem.start.asked)
+        with context.timer.stage("timing"):
+            await_toppra(context.deadline)
+            trajectory = time_along(curve, path, context.limits, context.dt)
+        if trajectory is not None:
+            yield trajectory
+
+    def _followed(self, context: PlanningContext, task: ToolTask, start: Array) -> tuple[ToolCurve, Array]:
+        """The curve with as many stations as it takes, and the joints (n, dof) there."""
+        curve = task.curve
+        for _ in range(_REFINEMENTS):
+            with context.timer.stage("search"):
+                path = Following(context, curve, task.region, start).path()
+            with context.timer.stage("shortcut"):
+                if task.use_between(curve, path) <= _SHARE:
+                    return curve, path
+                curve = curve.refined()
+        raise PlanningFailed(
+            "no smooth motion of the joints follows the curve closely enough; move it away from a singularity",
+            code="no_path",
+        )

@@ -1,0 +1,38 @@
+"""Whether the tip keeps to its curve, between the samples of a trajectory too."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_planner.cartesian.task import ANGLE, DISTANCE, ToolTask
+from zarm_planner.cartesian.timing import Progress
+from zarm_planner.verification.verify import VerificationFailed
+from zarm_trajectory.trajectory import TimedTrajectory
+
+Array = NDArray[np.float64]
+
+_STEP = 0.002
+"""Interval (s) at which it is checked."""
+_ENDS = 1e-6
+"""Share of the curve by which a motion may miss its ends."""
+
+
+def verify_tool_path(task: ToolTask, trajectory: TimedTrajectory, progress: Progress) -> None:
+    """Raises VerificationFailed unless the tip moves from one end of the curve to the other, never back, within DISTANCE
+    and ANGLE.
+    """
+    times = np.linspace(0.0, trajectory.duration, int(trajectory.duration / _STEP) + 2)
+    parameters = progress.parameters(times)
+    end = float(task.curve.stations[-1])
+    if abs(parameters[0]) > _ENDS * end or abs(parameters[-1] - end) > _ENDS * end:
+        raise VerificationFailed("the trajectory does not lead from one end of the curve to the other")
+    if np.diff(parameters).min() < -_ENDS * end:
+        raise VerificationFailed("the trajectory moves back along the curve")
+    used = task.use(np.clip(parameters, 0.0, end), trajectory.positions(times))
+    worst = int(np.argmax(used))
+    if used[worst] > 1.0:
+        raise VerificationFailed(
+            f"the tip would leave the curve by {used[worst]:.2f} times the permitted {1e3 * DISTANCE:g} mm and "
+            f"{np.rad2deg(ANGLE):g} deg at {times[worst]:.2f} s of the trajectory"
+        )
