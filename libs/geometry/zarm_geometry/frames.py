@@ -29,6 +29,21 @@ def rotations(q: Array) -> Array:
     return np.moveaxis(rotation(tuple(q.T)), 2, 0)
 
 
+def rotated_by(vectors: Array) -> Array:
+    """The rotation matrices (n, 3, 3) of rotation vectors (n, 3) in rad, by Rodrigues' formula."""
+    square = np.einsum("ij,ij->i", vectors, vectors)
+    angle = np.sqrt(square)
+    small = angle < 1e-4
+    safe = np.where(small, 1.0, angle)
+    sine = np.where(small, 1.0 - square / 6.0, np.sin(safe) / safe)
+    cosine = np.where(small, 0.5 - square / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    cross = np.zeros((len(vectors), 3, 3))
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -vectors[:, 2], vectors[:, 1], -vectors[:, 0]
+    cross -= cross.transpose(0, 2, 1)
+    square_of = vectors[:, :, None] * vectors[:, None, :] - square[:, None, None] * np.eye(3)
+    return np.asarray(np.eye(3) + sine[:, None, None] * cross + cosine[:, None, None] * square_of)
+
+
 def rotation_to(axis: ArrayLike) -> Array:
     """A rotation matrix (3, 3) that takes z to the direction of `axis` (3,)."""
     z = np.asarray(axis, np.float64) / np.linalg.norm(axis)

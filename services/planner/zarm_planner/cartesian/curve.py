@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import ArcGoal, CartesianGoal, LineGoal, PathGoal, Quaternion
-from zarm_geometry.frames import rotation
+from zarm_geometry.frames import rotated_by, rotation
 
 Array = NDArray[np.float64]
 
@@ -36,9 +36,9 @@ _TRANSPORT = 2000
 
 
 class _Poses(Protocol):
-    """Positions (n, 3) and orientations at parameters (n,)."""
+    """Positions (n, 3) and orientations (n, 3, 3) at parameters (n,)."""
 
-    def __call__(self, u: Array) -> tuple[Array, Rotation]: ...
+    def __call__(self, u: Array) -> tuple[Array, Array]: ...
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,7 @@ class ToolCurve:
         """The poses (n, 4, 4) at parameters (n,)."""
         out = np.zeros((len(u), 4, 4))
         out[:, 3, 3] = 1.0
-        out[:, :3, 3], turned = self.at(u)
-        out[:, :3, :3] = turned.as_matrix()
+        out[:, :3, 3], out[:, :3, :3] = self.at(u)
         return out
 
     def refined(self) -> ToolCurve:
@@ -129,11 +128,11 @@ def _line(goal: LineGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str
         turn = np.zeros(3)
     length, angle = float(np.linalg.norm(b - a)), float(np.linalg.norm(turn))
     _has_extent(length, angle, field)
-    extent = speeds.extent(length, angle)
+    extent, oriented = speeds.extent(length, angle), begin.as_matrix()
 
-    def at(u: Array) -> tuple[Array, Rotation]:
+    def at(u: Array) -> tuple[Array, Array]:
         share = (u / extent)[:, None]
-        return a + share * (b - a), begin * Rotation.from_rotvec(share * turn)
+        return a + share * (b - a), oriented @ rotated_by(share * turn)
 
     return ToolCurve(at, (0.0, extent), _stations(extent, length, angle), *_values(speeds))
 
@@ -147,15 +146,15 @@ def _arc(goal: ArcGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str) 
     length, angle = sweep * float(np.linalg.norm(x)), float(np.linalg.norm(turn))
     if goal.orienting == "tangent":
         angle = sweep
-    extent = speeds.extent(length, angle)
+    extent, oriented = speeds.extent(length, angle), begin.as_matrix()
 
-    def at(u: Array) -> tuple[Array, Rotation]:
+    def at(u: Array) -> tuple[Array, Array]:
         share = (u / extent)[:, None]
         phi = sweep * share
         position = center + np.cos(phi) * x + np.sin(phi) * y
         if goal.orienting == "tangent":
-            return position, Rotation.from_rotvec(phi * normal) * begin
-        return position, begin * Rotation.from_rotvec(share * turn)
+            return position, rotated_by(phi * normal) @ oriented
+        return position, oriented @ rotated_by(share * turn)
 
     return ToolCurve(at, (0.0, extent), _stations(extent, length, max(angle, sweep)), *_values(speeds))
 
@@ -202,39 +201,39 @@ def _angle(p: Array, q: Array, normal: Array) -> float:
 
 
 def _path(goal: PathGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str) -> ToolCurve:
-    points, turns, names = [a], [begin], ["start"]
+    points, oriented, names = [a], [begin], ["start"]
     for number, point in enumerate(goal.points):
         there = np.array(point.position)
-        turned = _oriented(goal, turns[-1], point.orientation)
-        near = np.linalg.norm(there - points[-1]) < _SAME and (turns[-1].inv() * turned).magnitude() < _SAME
+        turned = _oriented(goal, oriented[-1], point.orientation)
+        near = np.linalg.norm(there - points[-1]) < _SAME and (oriented[-1].inv() * turned).magnitude() < _SAME
         if near and number == 0:  # a path that names its start
             continue
         if near:
             raise InvalidRequest("this point is the one before it; leave it out", field=f"{field}.points.{number}")
         points.append(there)
-        turns.append(turned)
+        oriented.append(turned)
         names.append(f"points.{number}")
     if len(points) < 2:
         raise InvalidRequest("the path has no extent: it only names its start; add points", field=f"{field}.points")
     if goal.shape == "spline":
-        return _spline(goal, np.array(points), turns, speeds)
-    return _polyline(goal, np.array(points), turns, speeds, [f"{field}.{name}" for name in names], field)
+        return _spline(goal, np.array(points), oriented, speeds)
+    return _polyline(goal, np.array(points), oriented, speeds, [f"{field}.{name}" for name in names], field)
 
 
-def _spline(goal: PathGoal, points: Array, turns: Sequence[Rotation], speeds: _Speeds) -> ToolCurve:
+def _spline(goal: PathGoal, points: Array, oriented: Sequence[Rotation], speeds: _Speeds) -> ToolCurve:
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    angles = [(p.inv() * q).magnitude() for p, q in itertools.pairwise(turns)]
+    angles = [(p.inv() * q).magnitude() for p, q in itertools.pairwise(oriented)]
     steps = [speeds.extent(length, angle) for length, angle in zip(lengths.tolist(), angles, strict=True)]
     knots = np.insert(np.cumsum(steps), 0, 0.0)
     end = float(knots[-1])
     curve = CubicSpline(knots, points)
-    turned = RotationSpline(knots, Rotation.concatenate(turns))
+    turned = RotationSpline(knots, Rotation.concatenate(oriented))
     if goal.orienting == "tangent":
         fine = np.linspace(0.0, end, _TRANSPORT + 1)
-        turned = RotationSpline(fine, _transported(turns[0], curve(fine, 1)))
+        turned = RotationSpline(fine, _transported(oriented[0], curve(fine, 1)))
 
-    def at(u: Array) -> tuple[Array, Rotation]:
-        return curve(u), turned(u)
+    def at(u: Array) -> tuple[Array, Array]:
+        return curve(u), turned(u).as_matrix()
 
     counts = [
         max(4, math.ceil(length / _SPACING[0]), math.ceil(angle / _SPACING[1]))
@@ -262,26 +261,27 @@ def _smallest_turns(along: Array) -> Rotation:
 
 
 def _polyline(
-    goal: PathGoal, points: Array, turns: Sequence[Rotation], speeds: _Speeds, names: Sequence[str], field: str
+    goal: PathGoal, points: Array, oriented: Sequence[Rotation], speeds: _Speeds, names: Sequence[str], field: str
 ) -> ToolCurve:
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if goal.orienting == "tangent":
-        from_turns, vectors = _along_lines(goal, points, lengths, turns[0], field), np.zeros((len(lengths), 3))
+        from_turns, vectors = _along_lines(goal, points, lengths, oriented[0], field), np.zeros((len(lengths), 3))
     else:
-        from_turns = Rotation.concatenate(turns[:-1])
-        vectors = (from_turns.inv() * Rotation.concatenate(turns[1:])).as_rotvec()
+        from_turns = Rotation.concatenate(oriented[:-1])
+        vectors = (from_turns.inv() * Rotation.concatenate(oriented[1:])).as_rotvec()
     angles = np.linalg.norm(vectors, axis=1)
     steps = np.array([speeds.extent(length, angle) for length, angle in zip(lengths, angles, strict=True)])
     knots = np.insert(np.cumsum(steps), 0, 0.0)
     half = _corners(goal, points, lengths, steps, names, field)
+    matrices = from_turns.as_matrix()
     rate = np.diff(points, axis=0) / steps[:, None]
     spin = vectors / steps[:, None]
 
-    def on_line(number: NDArray[np.int64], u: Array) -> tuple[Array, Rotation]:
+    def on_line(number: NDArray[np.int64], u: Array) -> tuple[Array, Array]:
         past = (u - knots[number])[:, None]
-        return points[number] + past * rate[number], from_turns[number] * Rotation.from_rotvec(past * spin[number])
+        return points[number] + past * rate[number], matrices[number] @ rotated_by(past * spin[number])
 
-    def at(u: Array) -> tuple[Array, Rotation]:
+    def at(u: Array) -> tuple[Array, Array]:
         number = np.clip(np.searchsorted(knots, u, side="right") - 1, 0, len(steps) - 1)
         corner = number + (u - knots[number] > steps[number] / 2.0)  # the nearer end of the line
         width = half[corner]
@@ -293,9 +293,8 @@ def _polyline(
         then, after = on_line(np.where(rounded, corner, number), u)
         x = np.where(rounded, (u - knots[corner]) / np.maximum(width, 1e-12) / 2.0 + 0.5, 0.0)
         share = (x**3 * (10.0 + x * (6.0 * x - 15.0)))[:, None]
-        return position + share * (then - position), turned * Rotation.from_rotvec(
-            share * (turned.inv() * after).as_rotvec()
-        )
+        aside = Rotation.from_matrix(turned.transpose(0, 2, 1) @ after).as_rotvec()
+        return position + share * (then - position), turned @ rotated_by(share * aside)
 
     rests = [0.0, *knots[1:-1][half[1:-1] <= 0.0].tolist(), float(knots[-1])]
     edges, counts = [0.0], []

@@ -23,6 +23,10 @@ _SAMPLING = 0.01
 """Longest interval (s) between samples."""
 _ROUNDS = 6
 """How often the joints' limits are lowered before the whole motion is slowed down."""
+_TOOL_TOLERANCE = 2e-3
+"""Share by which the tool may be too fast."""
+_FURTHER = 1.001
+"""Factor by which limits are lowered further than the load says."""
 _RAMP = 0.1
 """s in which the tool's acceleration grows to its full value."""
 _PARTS = 4
@@ -53,33 +57,41 @@ def time_along(curve: ToolCurve, path: Array, limits: Limits, dt: float) -> Time
 
 def _measured(curve: ToolCurve) -> Array:
     """How far the tip has moved (m) and turned (rad) at each station: (n, 2)."""
-    fine = np.unique(
-        np.concatenate([np.linspace(a, b, _PARTS + 1) for a, b in itertools.pairwise(curve.stations.tolist())])
-    )
+    count = len(curve.stations)
+    fine = np.interp(np.arange((count - 1) * _PARTS + 1) / _PARTS, np.arange(count), curve.stations)
     position, turned = curve.at(fine)
     moved = np.linalg.norm(np.diff(position, axis=0), axis=1)
-    turns = (turned[:-1].inv() * turned[1:]).magnitude()
+    # The difference of two rotations that are an angle t apart has the Frobenius norm 2 sqrt(2) sin(t / 2).
+    turns = 2.0 * np.arcsin(np.linalg.norm(np.diff(turned, axis=0), axis=(1, 2)) / 8.0**0.5)
     total = np.insert(np.cumsum(np.column_stack((moved, turns)), axis=0), 0, 0.0, axis=0)
-    return np.asarray(total[np.searchsorted(fine, curve.stations)])
+    return np.asarray(total[::_PARTS])
 
 
 def _timed(curve: ToolCurve, stations: Array, rows: Array, limits: Limits, dt: float) -> TimedTrajectory | None:
     spline = CubicSpline(stations, rows)
     along = TimedTrajectory(stations - stations[0], rows, spline(stations, 1), spline(stations, 2))
-    wide = _with_tool(limits, curve)
-    lowered, profile = 1.0, fastest_along(along, wide, dt)
-    for _ in range(_ROUNDS):
+    lowered = eased = 1.0
+    for number in itertools.count(1):
+        profile = fastest_along(along, _with_tool(_slower(limits, lowered), curve, eased), dt)
         if profile is None:
-            return None
+            break
         trajectory = profile.sample(1.0, dt)
-        used = load(trajectory, wide)
-        if used <= 1.0 + TOLERANCE:
+        joints, tool = _loads(trajectory, limits, curve)
+        if joints <= 1.0 + TOLERANCE and tool <= 1.0 + _TOOL_TOLERANCE:
             return trajectory
-        lowered *= used * 1.001
-        profile = fastest_along(along, _with_tool(_slower(limits, lowered), curve), dt)
-    if profile is None:
-        return None
-    return within(partial(profile.sample, dt=dt), wide)
+        if number == _ROUNDS:
+            return within(partial(profile.sample, dt=dt), _with_tool(limits, curve))
+        lowered *= max(joints, 1.0) * _FURTHER if joints > 1.0 + TOLERANCE else 1.0
+        eased *= max(tool, 1.0) * _FURTHER if tool > 1.0 + _TOOL_TOLERANCE else 1.0
+    return None
+
+
+def _loads(trajectory: TimedTrajectory, limits: Limits, curve: ToolCurve) -> tuple[float, float]:
+    """How far the joints use their limits, and the tool its own, see `sampling.load`."""
+    dof = len(limits.velocity)
+    wide = _with_tool(limits, curve)
+    tool = replace(limits, velocity=wide.velocity[dof:], acceleration=wide.acceleration[dof:], jerk=wide.jerk[dof:])
+    return load(columns(trajectory, slice(dof)), limits), load(columns(trajectory, slice(dof, None)), tool)
 
 
 def _slower(limits: Limits, factor: float) -> Limits:
@@ -92,17 +104,17 @@ def _slower(limits: Limits, factor: float) -> Limits:
     )
 
 
-def _with_tool(limits: Limits, curve: ToolCurve) -> Limits:
-    """The limits of the joints and of the columns of PROGRESS."""
+def _with_tool(limits: Limits, curve: ToolCurve, eased: float = 1.0) -> Limits:
+    """The limits of the joints and of the columns of PROGRESS; the tool's acceleration is `eased` like `_slower` does."""
     turning = curve.rotational_speed / curve.speed
     free = 1e6  # the parameter itself is not limited
     speed = np.array((free, curve.speed, curve.rotational_speed))
-    acceleration = np.array((free, curve.acceleration, curve.acceleration * turning))
+    acceleration = np.array((free, curve.acceleration, curve.acceleration * turning)) / eased**2
     return replace(
         limits,
         velocity=np.append(limits.velocity, speed),
         acceleration=np.append(limits.acceleration, acceleration),
-        jerk=np.append(limits.jerk, acceleration / _RAMP),
+        jerk=np.append(limits.jerk, acceleration / (eased * _RAMP)),
     )
 
 

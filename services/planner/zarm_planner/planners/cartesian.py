@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 _NAME = "cartesian"
 _REFINEMENTS = 4
 """How often the stations may be doubled."""
+_GAIN = 0.02
+"""Share of the curve by which twice as many stations have to lead further, or they are not doubled again."""
 _SHARE = 0.3
 """Share of the permitted deviation that the joints may use between two stations."""
 
@@ -46,14 +48,20 @@ class CartesianPlanner(Planner):
 
     def _followed(self, context: PlanningContext, task: ToolTask, start: Array) -> tuple[ToolCurve, Array]:
         """The curve with as many stations as it takes, and the joints (n, dof) there."""
-        curve = task.curve
-        for _ in range(_REFINEMENTS):
-            with context.timer.stage("search"):
-                path = Following(context, curve, task.region, start).path()
-            with context.timer.stage("shortcut"):
-                if task.use_between(curve, path) <= _SHARE:
-                    return curve, path
-                curve = curve.refined()
+        curve, furthest = task.curve, -1.0
+        for number in range(_REFINEMENTS):
+            try:
+                with context.timer.stage("search"):
+                    path = Following(context, curve, task.region, start).path()
+                with context.timer.stage("shortcut"):
+                    if task.use_between(curve, path) <= _SHARE:
+                        return curve, path
+            except PlanningFailed as stopped:  # near a singularity the joints move far between two stations
+                fraction = stopped.problem.fraction or 0.0
+                if number == _REFINEMENTS - 1 or fraction < furthest + _GAIN:
+                    raise
+                furthest = fraction
+            curve = curve.refined()
         raise PlanningFailed(
             "no smooth motion of the joints follows the curve closely enough; move it away from a singularity",
             code="no_path",

@@ -12,7 +12,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
 
-_STEP = 0.002
+_STEP = 0.004
 """Interval (s) at which it is checked."""
 _ENDS = 1e-6
 """Share of the curve by which a motion may miss its ends."""
