@@ -31,6 +31,7 @@ _PROBLEM = Problem(
     message="elbow is 0.31 rad off its path, more than 0.2 rad; clear the way, then reset",
     field="path_tolerance",
     joint="elbow",
+    fraction=0.75,
 )
 _TIMINGS = m.PlanTimings(ik=0.001, search=0.002, shortcut=0.004, timing=0.008, verify=0.016, optimize=0.02, total=0.052)
 _TOO_NEAR = m.TooNear(pair=("link_3", "table"), distance=0.002, margin=0.03, time=0.75)
@@ -86,6 +87,30 @@ _BALL = m.PoseTolerance(orientation=("free", "free", "free"), radius=0.05)
 _TIP_FRAME = m.TipFrame(link="gripper", offset=_POSE)
 _FREE_GOAL = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), tolerance=_TOLERANCE, tip=_TIP_FRAME)
 _GOAL_SET = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), alternatives=(_POSE, _POSE))
+_LINE = m.LineGoal(
+    kind="line",
+    position=(0.4, 0.3, 0.25),
+    orientation=(0.0, 0.6, 0.0, 0.8),
+    speed=0.1,
+    acceleration=0.5,
+    rotational_speed=0.7,
+    orienting="interpolated",
+    orientation_tolerance=(0.0, 0.1, "free"),
+    tip=_TIP_FRAME,
+)
+_ARC_VIA = m.ArcGoal(kind="arc", position=(0.4, 0.3, 0.25), via=(0.5, 0.1, 0.25), orienting="tangent")
+_ARC_AROUND = m.ArcGoal(
+    kind="arc", position=(0.4, 0.3, 0.25), orientation=(0.0, 0.0, 0.0, 1.0), center=(0.4, 0.1, 0.25)
+)
+_PATH = m.PathGoal(
+    kind="path",
+    points=(
+        m.PathPoint(position=(0.4, 0.0, 0.25), orientation=(0.0, 0.6, 0.0, 0.8)),
+        m.PathPoint(position=(0.4, 0.3, 0.25)),
+    ),
+    shape="spline",
+    blend=0.02,
+)
 _JOINT_GOAL = m.JointGoal(kind="joints", position=(0.3, -0.4))
 _WAYPOINTS = m.WaypointsGoal(
     kind="waypoints", through=(_POSE_GOAL, _JOINT_GOAL), position_tolerance=0.01, angle_tolerance=0.05
@@ -149,6 +174,11 @@ EXAMPLES: tuple[Message, ...] = (
     _POSE_GOAL,
     _GOAL_SET,
     _FREE_GOAL,
+    _LINE,
+    _ARC_VIA,
+    _ARC_AROUND,
+    _PATH,
+    *_PATH.points,
     _TOLERANCE,
     _BALL,
     _TIP_FRAME,
@@ -184,6 +214,7 @@ EXAMPLES: tuple[Message, ...] = (
         scene_revision=_REVISION,
         trajectory=_TRAJECTORY,
         tip=_POSE,
+        tool=m.ToolMotion(length=0.4, speed=0.1, rotational_speed=0.7, speed_share=0.875),
         goal_deviation=(0.0, 0.0, 1.5, 0.0, 0.0, -0.01),
         selected_goal_index=1,
         clearance=0.002,

@@ -31,12 +31,15 @@ from zarm.servoing import Jogging, Tracking
 from zarm.streaming import Stream
 from zarm.values import (
     AnyOf,
+    Arc,
     Axis,
     Capsule,
     Cuboid,
     Cylinder,
     Goal,
+    Line,
     Mesh,
+    Path,
     PathConstraint,
     PointCloud,
     Pose,
@@ -80,6 +83,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AnyOf",
+    "Arc",
     "Axis",
     "Busy",
     "Cancelled",
@@ -99,7 +103,9 @@ __all__ = [
     "InvalidRequest",
     "Jogging",
     "JointState",
+    "Line",
     "Mesh",
+    "Path",
     "PathConstraint",
     "Plan",
     "PlanOptions",

@@ -11,8 +11,8 @@ from array import array
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, TypeVar, Unpack
 
 from pydantic import ConfigDict, ValidationError
 
@@ -191,6 +191,99 @@ class TipFrame(_Checked, messages.TipFrame):
         super().__init__(link=link, offset=offset or messages.Pose(position=(0.0, 0.0, 0.0)))
 
 
+class _AlongCurve(TypedDict, total=False):
+    speed: float | None
+    acceleration: float | None
+    rotational_speed: float | None
+    orienting: Literal["interpolated", "fixed", "tangent"]
+    free: Iterable[Literal["theta_x", "theta_y", "theta_z"]]
+    tolerance: Mapping[str, float] | None
+    tip: str | messages.TipFrame | None
+
+
+def _along_curve(**options: Unpack[_AlongCurve]) -> dict[str, object]:
+    """The fields that lines, arcs and paths have in common. Raises InvalidRequest that names the argument."""
+    free = set(options.get("free", ()))
+    fields = {name: value for name, value in options.items() if name not in ("free", "tolerance")}
+    allowed = tolerance_of(free, options.get("tolerance") or {}, None, "tool")
+    if allowed is not None:
+        if any(bound != 0.0 for bound in allowed.position):
+            raise InvalidRequest(
+                "along a curve only theta_x, theta_y and theta_z may be free", field="free" if free else "tolerance"
+            )
+        fields["orientation_tolerance"] = allowed.orientation
+    tip = options.get("tip")
+    if isinstance(tip, str):
+        fields["tip"] = made(messages.TipFrame, link=tip)
+    return fields
+
+
+def _oriented(pose: messages.Pose | Numbers) -> dict[str, object]:
+    """A pose, or a position alone (m) at which the tip keeps its orientation."""
+    if isinstance(pose, messages.Pose):
+        return {"position": pose.position, "orientation": pose.orientation}
+    return {"position": numbers(pose, "position"), "orientation": None}
+
+
+class Line(_Checked, messages.LineGoal):
+    """A straight line of the tip to a `pose`, or to a position (m) with the orientation that it has.
+
+    `speed` (m/s), `acceleration` (m/s^2) and `rotational_speed` (rad/s) bound the motion of the tip, by default as in the descriptor's
+    `tool`. The orientation is `interpolated`, `fixed` as at the start, or turns with the `tangent`. Its components that are `free`
+    ("theta_z": about the tool's axis) may have any value, others may be off by the `tolerance`, {"theta_x": 0.1} in rad. `tip` is the
+    frame that moves so, by default the robot's tip: the name of a link or of an attached object, or a `TipFrame`.
+    """
+
+    def __init__(self, pose: messages.Pose | Numbers, **options: Unpack[_AlongCurve]) -> None:
+        super().__init__(kind="line", **_oriented(pose), **_along_curve(**options))
+
+
+class Arc(_Checked, messages.ArcGoal):
+    """A circular arc of the tip to a `pose` or position (m), through the point `via` or the shorter way around `center` (m).
+
+    The other options are those of `Line`.
+    """
+
+    def __init__(
+        self,
+        pose: messages.Pose | Numbers,
+        *,
+        via: Numbers | None = None,
+        center: Numbers | None = None,
+        **options: Unpack[_AlongCurve],
+    ) -> None:
+        super().__init__(
+            kind="arc",
+            **_oriented(pose),
+            via=None if via is None else numbers(via, "via"),
+            center=None if center is None else numbers(center, "center"),
+            **_along_curve(**options),
+        )
+
+
+class Path(_Checked, messages.PathGoal):
+    """A path of the tip through poses or positions (m): `Path(a, b, c)`.
+
+    It consists of straight lines whose corners are left at most `blend` m before and after each point, by default 0.01; with 0 the
+    tip comes to rest there. With `shape` `spline` it is a smooth curve. The other options are those of `Line`.
+    """
+
+    def __init__(
+        self,
+        *points: messages.Pose | Numbers,
+        shape: Literal["polyline", "spline"] = "polyline",
+        blend: float | None = None,
+        **options: Unpack[_AlongCurve],
+    ) -> None:
+        super().__init__(
+            kind="path",
+            points=tuple(made(messages.PathPoint, **_oriented(point)) for point in points),
+            shape=shape,
+            blend=blend,
+            **_along_curve(**options),
+        )
+
+
 class StartState(_Checked, messages.StartState):
     """A start in motion: joint positions (rad), velocities (rad/s) and accelerations (rad/s^2, default: none)."""
 
@@ -271,7 +364,7 @@ class Mesh(_Checked, messages.Mesh):
         self,
         name: str,
         *,
-        file: str | Path,
+        file: str | FilePath,
         position: Numbers,
         orientation: Numbers = IDENTITY,
         scale: float | Numbers = 1.0,
@@ -353,14 +446,16 @@ class Trajectory(_Checked, messages.Trajectory):
         )
 
 
-Goal: TypeAlias = "messages.Pose | messages.PoseGoal | Waypoints | Numbers"
-"""Where a motion leads: a pose of the tip, one with freedom, whichever of several is quickest to reach, joint positions (rad), or
-waypoints."""
+Goal: TypeAlias = "messages.Pose | messages.PoseGoal | Waypoints | messages.CartesianGoal | Numbers"
+"""Where a motion leads: a pose of the tip, one with freedom, whichever of several is quickest to reach, joint positions (rad),
+waypoints; or a line, an arc or a path of the tip."""
 
 
 def goal_of(goal: Goal) -> messages.Goal:
     """A goal as a message for the planner."""
-    return goal if isinstance(goal, messages.WaypointsGoal) else _stop(goal)
+    if isinstance(goal, messages.WaypointsGoal | messages.CartesianGoal):
+        return goal
+    return _stop(goal)
 
 
 def pose_of(pose: messages.Pose) -> Pose:

@@ -20,7 +20,7 @@ from zarm_planner.timing.improvement import GAIN
 from zarm_planner.timing.rounding import rounded
 from zarm_planner.timing.smoothing import least_duration
 from zarm_planner.verification.margins import too_near
-from zarm_planner.verification.tool_path import verify_tool_path
+from zarm_planner.verification.tool_path import first_contact, verify_tool_path
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_planner.verification.waypoints import passing_times
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -88,9 +88,10 @@ def _first(
     failure: VerificationFailed | None = None
     thorough = False
     try:
-        for attempt in range(context.max_attempts):
+        attempts = planner.attempts(context, problem)
+        for attempt in range(attempts):
             seeded = context.with_seed(context.seed + attempt)
-            last = attempt == context.max_attempts - 1
+            last = attempt == attempts - 1
             most = None if last or attempt >= _FASTEST_ONLY else 1
             try:
                 for outcome in itertools.islice(_outcomes(planner, seeded, problem), most):
@@ -174,7 +175,12 @@ def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: Ti
     ends = problem.targets[-1] if problem.targets else (End.at(trajectory.end),)
     end = ends[np.abs(problem.goals - trajectory.position[-1]).max(axis=1).argmin()] if len(ends) > 1 else ends[0]
     start, motion = problem.beginning
-    clearance = verify(trajectory, start, end.asked, limits, context.exact, check, problem.constraint, motion)
+    try:
+        clearance = verify(trajectory, start, end.asked, limits, context.exact, check, problem.constraint, motion)
+    except VerificationFailed as failure:
+        if progress is not None and failure.time is not None:
+            raise first_contact(context.exact, trajectory, progress, check) from failure
+        raise
     tool: ToolMotion | None = None
     if problem.tool_task is not None and progress is not None:
         verify_tool_path(problem.tool_task, trajectory, progress)
@@ -199,6 +205,13 @@ def _with_poses_of_their_own(waypoint: PoseGoal | JointGoal, ends: Sequence[End]
 
 
 def _given_up(failure: VerificationFailed) -> PlanningFailed:
+    if failure.fraction is not None:
+        return PlanningFailed(
+            f"the curve can be followed for {100.0 * failure.fraction:.1f} % of its way: {failure}; clear the way, or move the "
+            "curve",
+            code="no_path",
+            fraction=failure.fraction,
+        )
     return PlanningFailed(
         f"every path that was found was rejected: {failure}; allow more time or attempts, or, against collisions, a larger "
         "margin",

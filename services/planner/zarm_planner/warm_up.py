@@ -15,7 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from zarm_contract.messages import PathConstraint, PoseTolerance
+from zarm_contract.errors import PlanningFailed
+from zarm_contract.messages import LineGoal, PathConstraint, PoseTolerance
 from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
@@ -23,6 +24,9 @@ from zarm_geometry.frames import pose_of
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.voxels import merged
 from zarm_geometry.world import World
+from zarm_planner.cartesian.following import Following
+from zarm_planner.cartesian.task import ToolTask
+from zarm_planner.cartesian.timing import time_along
 from zarm_planner.constraints.constrained_search import search_constrained, shortcut_constrained
 from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.context import PlanningContext
@@ -40,7 +44,7 @@ from zarm_planner.timing.smoothing import brake_to_rest, least_duration, smooth_
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_trajectory.limits import Limits
 
-STAGES = 9
+STAGES = 10
 
 
 def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
@@ -91,6 +95,15 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     context = PlanningContext(PlanningScene("0-000000000000", model, world, exact), limits, deadline)
     clear_pose(context, pose, home)
     way_out(context, home, np.eye(model.dof)[0])
+    begin("motions along a curve")
+    x, y, z = pose[:3, 3].tolist()
+    for way in (0.02, 10.0):  # the second out of reach
+        line = LineGoal(kind="line", position=(x, y, z + way), orientation_tolerance=("free", "free", "free"))
+        with suppress(PlanningFailed):
+            task = ToolTask.of(context, line, home)
+            joints = Following(context, task.curve, task, home).path()
+            task.use_between(task.curve, joints)
+            time_along(task.curve, joints, limits, 0.01)
     begin("the search under path constraints")
     constraint = ConstraintManifold.of(model, PathConstraint(axes=(False, False, False, True, True, True)), pose)
     constraint.use(home)

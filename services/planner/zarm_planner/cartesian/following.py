@@ -11,12 +11,12 @@ from zarm_contract.errors import PlanningFailed
 from zarm_geometry.collision import is_free
 from zarm_geometry.working_memory import working_memory
 from zarm_planner.cartesian.curve import ToolCurve
+from zarm_planner.cartesian.task import ToolTask
 from zarm_planner.context import PlanningContext
 from zarm_planner.kernels.inverse import TOLERANCE
-from zarm_planner.kernels.pose_region import COMPONENTS, Regions
+from zarm_planner.kernels.pose_region import Regions
 from zarm_planner.kernels.tool_path import Breadth, follow, nearest_at, straighten
 from zarm_planner.kinematics.ik import NOTHING
-from zarm_planner.kinematics.pose_region import PoseRegion
 
 Array = NDArray[np.float64]
 
@@ -34,18 +34,12 @@ _AT_LIMIT = 1e-6
 
 @dataclass(frozen=True)
 class Following:
-    """Follows a curve from the configuration `start` (dof,) on, with the orientation free as `region` says."""
+    """Follows a curve from the configuration `start` (dof,) on, with the freedom of the `task`."""
 
     context: PlanningContext
     curve: ToolCurve
-    region: PoseRegion
+    task: ToolTask
     start: Array
-
-    @property
-    def has_freedom(self) -> bool:
-        """Whether there is more than one way to follow the curve from a configuration."""
-        bounds = self.region.arrays.tolerance[0, : COMPONENTS - 1]
-        return self.context.model.dof > 6 or bool(np.any(bounds > 0.0))
 
     def path(self) -> Array:
         """Joints (n, dof) at the curve's stations; from one to the next no joint jumps.
@@ -55,7 +49,7 @@ class Following:
         poses = self.curve.poses(self.curve.stations)
         shortest, reached = self._followed(poses, Breadth(0, 0.0, _JUMP), 1, checked=False)
         path: Array | None = None if shortest is None else self._straight(poses, shortest, checked=False)
-        if not self.has_freedom or (path is not None and self._open(path)):
+        if not self.task.has_freedom or (path is not None and self._open(path)):
             if path is None:
                 raise self._stopped(poses, reached, checked=False)
             return path
@@ -72,7 +66,7 @@ class Following:
 
     def _regions(self) -> Regions:
         """Regions that a kernel may move along the curve."""
-        arrays = self.region.arrays
+        arrays = self.task.region.arrays
         return arrays._replace(pose=arrays.pose.copy(), turn=arrays.turn.copy(), shift=arrays.shift.copy())
 
     def _followed(self, poses: Array, breadth: Breadth, width: int, *, checked: bool) -> tuple[Array | None, Array]:
@@ -105,7 +99,7 @@ class Following:
         return (path if done == len(poses) else None), path
 
     def _straight(self, poses: Array, path: Array, *, checked: bool) -> Array:
-        if not self.has_freedom:
+        if not self.task.has_freedom:
             return path
         context, model = self.context, self.context.model
         straightened = path.copy()

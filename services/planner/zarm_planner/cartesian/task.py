@@ -20,6 +20,8 @@ from zarm_planner.kinematics.pose_region import PoseRegion, tip_frame
 
 Array = NDArray[np.float64]
 
+_FULL = 6
+"""Joints, besides the last, beyond which an arm is redundant."""
 DISTANCE = 1e-4
 """m by which the tip may leave the curve."""
 ANGLE = math.radians(0.1)
@@ -43,6 +45,12 @@ class ToolTask:
         speeds = tool.speed, tool.acceleration, tool.rotational_speed
         curve = tool_curve(goal, begin, speeds, "goal")
         return cls(curve, PoseRegion.of(model, pose_of(begin), tolerance, goal.tip, "goal.tip"))
+
+    @property
+    def has_freedom(self) -> bool:
+        """Whether there is more than one way to follow the curve from a configuration."""
+        regions = self.region.arrays
+        return int(regions.joint[0]) >= _FULL or bool(np.any(regions.tolerance[0, : COMPONENTS - 1] > 0.0))
 
     def use(self, parameters: Array, joints: Array) -> Array:
         """The share (n,) of the permitted deviation by which the frame at `joints` (n, dof) is off the curve at

@@ -133,6 +133,11 @@ class Progress:
         """The curve's parameter (n,) at times (n,) in s."""
         return np.asarray(self.state.sample(times)[0][:, 0])
 
+    def fraction(self, time: float) -> float:
+        """The share of the curve behind the tip at a time (s)."""
+        parameter = self.parameters(np.array((time,)))[0]
+        return float(np.clip(parameter / self.state.position[-1, 0], 0.0, 1.0))
+
     def message(self, curve: ToolCurve) -> ToolMotion:
         """How the tip moves, for a reply."""
         return ToolMotion(

@@ -42,6 +42,10 @@ class Planner(ABC):
         known to be free. Raises the deadline's error.
         """
 
+    def attempts(self, context: PlanningContext, problem: PlanningProblem) -> int:
+        """How many attempts, each with another seed, may lead to something new."""
+        return context.max_attempts
+
     def faster(self, context: PlanningContext, problem: PlanningProblem) -> Faster:
         """A function that looks for faster trajectories until the deadline of `context`; optional."""
         return lambda _: None

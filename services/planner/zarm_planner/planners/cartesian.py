@@ -23,8 +23,12 @@ Array = NDArray[np.float64]
 _NAME = "cartesian"
 _REFINEMENTS = 4
 """How often the stations may be doubled."""
+_ATTEMPTS = 10
+"""Most attempts to find another way to use the freedom."""
 _GAIN = 0.02
-"""Share of the curve by which twice as many stations have to lead further, or they are not doubled again."""
+"""Share of the curve by which twice as many stations have to lead further, or a search among ways to use freedom, which takes
+long, is not repeated with more.
+"""
 _SHARE = 0.3
 """Share of the permitted deviation that the joints may use between two stations."""
 
@@ -46,19 +50,24 @@ class CartesianPlanner(Planner):
         if trajectory is not None:
             yield trajectory
 
+    def attempts(self, context: PlanningContext, problem: PlanningProblem) -> int:
+        """One where the curve leaves no choice."""
+        task = problem.tool_task
+        return min(context.max_attempts, _ATTEMPTS) if task is not None and task.has_freedom else 1
+
     def _followed(self, context: PlanningContext, task: ToolTask, start: Array) -> tuple[ToolCurve, Array]:
         """The curve with as many stations as it takes, and the joints (n, dof) there."""
         curve, furthest = task.curve, -1.0
         for number in range(_REFINEMENTS):
             try:
                 with context.timer.stage("search"):
-                    path = Following(context, curve, task.region, start).path()
+                    path = Following(context, curve, task, start).path()
                 with context.timer.stage("shortcut"):
                     if task.use_between(curve, path) <= _SHARE:
                         return curve, path
             except PlanningFailed as stopped:  # near a singularity the joints move far between two stations
                 fraction = stopped.problem.fraction or 0.0
-                if number == _REFINEMENTS - 1 or fraction < furthest + _GAIN:
+                if number == _REFINEMENTS - 1 or (task.has_freedom and fraction < furthest + _GAIN):
                     raise
                 furthest = fraction
             curve = curve.refined()

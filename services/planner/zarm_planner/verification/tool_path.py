@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_geometry.exact import RESOLUTION, ExactScene
 from zarm_planner.cartesian.task import ANGLE, DISTANCE, ToolTask
 from zarm_planner.cartesian.timing import Progress
+from zarm_planner.kernels.quintic import followed
 from zarm_planner.verification.verify import VerificationFailed
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -16,6 +20,27 @@ _STEP = 0.004
 """Interval (s) at which it is checked."""
 _ENDS = 1e-6
 """Share of the curve by which a motion may miss its ends."""
+
+
+def first_contact(
+    scene: ExactScene, trajectory: TimedTrajectory, progress: Progress, check: Callable[[], None]
+) -> VerificationFailed:
+    """The failure of a trajectory that collides: where it first does, and how far along its curve that is."""
+    times, position = followed(
+        trajectory.time, trajectory.position, trajectory.velocity, trajectory.acceleration, scene.reach, RESOLUTION
+    )
+    free, touching = 0, len(times)  # so many configurations are free; so many contain one that is not
+    while touching - free > 1:
+        middle = (free + touching) // 2
+        if scene.is_free(position[:middle], check):
+            free = middle
+        else:
+            touching = middle
+    time = float(times[free])
+    a, b = scene.nearest(position[free], check).pair or ("the robot", "itself")
+    failure = VerificationFailed(f"there {a} would touch {b}, at {time:.2f} s of the trajectory", time)
+    failure.fraction = progress.fraction(time)
+    return failure
 
 
 def verify_tool_path(task: ToolTask, trajectory: TimedTrajectory, progress: Progress) -> None:

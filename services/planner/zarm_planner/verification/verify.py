@@ -32,7 +32,15 @@ RANGE = 1e-4
 
 
 class VerificationFailed(Exception):
-    """A trajectory fails verification; the message says in what, where and by how much."""
+    """A trajectory fails verification; the message says in what, where and by how much, `time` at how many s of it.
+
+    `fraction` (0..1) says how far along a curve that is.
+    """
+
+    def __init__(self, message: str, time: float | None = None) -> None:
+        super().__init__(message)
+        self.time = time
+        self.fraction: float | None = None
 
 
 def verify(
@@ -73,6 +81,7 @@ def verify(
     if nearest.distance <= 0.0 and nearest.pair:
         raise VerificationFailed(
             f"{nearest.pair[0]} would be {-1e3 * nearest.distance:.1f} mm inside {nearest.pair[1]} at "
-            f"{times[nearest.sample]:.2f} s of the trajectory"
+            f"{times[nearest.sample]:.2f} s of the trajectory",
+            float(times[nearest.sample]),
         )
     return nearest.distance
