@@ -34,6 +34,7 @@ _PROBLEM = Problem(
     fraction=0.75,
 )
 _TIMINGS = m.PlanTimings(ik=0.001, search=0.002, shortcut=0.004, timing=0.008, verify=0.016, optimize=0.02, total=0.052)
+_TOOL_MOTION = m.ToolMotion(length=0.4, speed=0.1, rotational_speed=0.7, speed_share=0.875)
 _TOO_NEAR = m.TooNear(pair=("link_3", "table"), distance=0.002, margin=0.03, time=0.75)
 _CUBOID = m.Cuboid(
     kind="cuboid", name="table", position=(0.5, 0.0, -0.1), orientation=(0.0, 0.0, 0.6, 0.8), size=(1.0, 2.0, 0.2)
@@ -87,18 +88,16 @@ _BALL = m.PoseTolerance(orientation=("free", "free", "free"), radius=0.05)
 _TIP_FRAME = m.TipFrame(link="gripper", offset=_POSE)
 _FREE_GOAL = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), tolerance=_TOLERANCE, tip=_TIP_FRAME)
 _GOAL_SET = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), alternatives=(_POSE, _POSE))
-_LINE = m.LineGoal(
-    kind="line",
-    position=(0.4, 0.3, 0.25),
-    orientation=(0.0, 0.6, 0.0, 0.8),
-    speed=0.1,
-    acceleration=0.5,
-    rotational_speed=0.7,
-    orienting="interpolated",
-    orientation_tolerance=(0.0, 0.1, "free"),
-    tip=_TIP_FRAME,
-)
-_ARC_VIA = m.ArcGoal(kind="arc", position=(0.4, 0.3, 0.25), via=(0.5, 0.1, 0.25), orienting="tangent")
+_ALONG_CURVE = {
+    "speed": 0.1,
+    "acceleration": 0.5,
+    "rotational_speed": 0.7,
+    "orienting": "tangent",
+    "orientation_tolerance": (0.0, 0.1, "free"),
+    "tip": _TIP_FRAME,
+}
+_ARC_VIA = m.ArcGoal(kind="arc", position=(0.4, 0.3, 0.25), via=(0.5, 0.1, 0.25), **_ALONG_CURVE)
+_LINE = m.LineGoal(kind="line", position=(0.4, 0.3, 0.25), orientation=(0.0, 0.6, 0.0, 0.8), **_ALONG_CURVE)
 _ARC_AROUND = m.ArcGoal(
     kind="arc", position=(0.4, 0.3, 0.25), orientation=(0.0, 0.0, 0.0, 1.0), center=(0.4, 0.1, 0.25)
 )
@@ -110,6 +109,7 @@ _PATH = m.PathGoal(
     ),
     shape="spline",
     blend=0.02,
+    **_ALONG_CURVE,
 )
 _JOINT_GOAL = m.JointGoal(kind="joints", position=(0.3, -0.4))
 _WAYPOINTS = m.WaypointsGoal(
@@ -207,6 +207,7 @@ EXAMPLES: tuple[Message, ...] = (
     m.PlanRequest(goal=_WAYPOINTS),
     _TIMINGS,
     _TOO_NEAR,
+    _TOOL_MOTION,
     m.Plan(
         plan_id="plan-1",
         robot="arm_2",
@@ -214,7 +215,7 @@ EXAMPLES: tuple[Message, ...] = (
         scene_revision=_REVISION,
         trajectory=_TRAJECTORY,
         tip=_POSE,
-        tool=m.ToolMotion(length=0.4, speed=0.1, rotational_speed=0.7, speed_share=0.875),
+        tool=_TOOL_MOTION,
         goal_deviation=(0.0, 0.0, 1.5, 0.0, 0.0, -0.01),
         selected_goal_index=1,
         clearance=0.002,

@@ -12,22 +12,30 @@ import typer
 from zarm.executor import REST_SECONDS
 from zarm.robot import Robot
 from zarm_cli.client import AsJson, Connect, Name, connected, message
-from zarm_cli.output import SCENE_CHANGED, err, facts, held_by, out, print_json, reached, share_text
-from zarm_cli.planning import (
+from zarm_cli.goals import (
     EXACT,
     AnyOf,
+    AsLine,
+    Blend,
+    Center,
     Free,
     JointsGoal,
+    Orienting,
+    RotationalSpeed,
+    Spline,
     Tip,
     To,
     Tolerance,
     ToleranceFrame,
-    VelocityScale,
-    read_plan,
-    request_plan,
+    ToolAcceleration,
+    ToolSpeed,
+    Via,
+    typed_curve,
     typed_freedom,
     typed_goal,
 )
+from zarm_cli.output import SCENE_CHANGED, err, facts, held_by, out, print_json, reached, share_text
+from zarm_cli.planning import VelocityScale, read_plan, request_plan
 from zarm_contract.errors import ZarmError, from_problem
 from zarm_contract.messages import ExecuteRequest, ExecutorState, GoalState, Speed
 from zarm_runtime.session import DEFAULT_ENDPOINT
@@ -40,6 +48,15 @@ def execute(
     tolerance: Tolerance = None,
     tolerance_frame: ToleranceFrame = None,
     tip: Tip = None,
+    line: AsLine = False,
+    spline: Spline = False,
+    via: Via = None,
+    center: Center = None,
+    blend: Blend = None,
+    speed: ToolSpeed = None,
+    acceleration: ToolAcceleration = None,
+    rotational_speed: RotationalSpeed = None,
+    orienting: Orienting = None,
     joints_goal: JointsGoal = None,
     plan: Annotated[Path | None, typer.Option(help="A plan saved by `zarm plan --save`.")] = None,
     plan_id: Annotated[str | None, typer.Option(help="Id of a plan published on this bus.")] = None,
@@ -54,8 +71,19 @@ def execute(
 ) -> None:
     """Move the robot along the last plan, a given one, or a new one (--to, --joints). Ctrl-C stops the robot."""
     freedom = typed_freedom(free, tolerance, tolerance_frame, tip)
-    typed = to or joints_goal is not None or any_of or freedom != EXACT
-    goal = typed_goal(to, joints_goal, any_of, freedom) if typed else None
+    curve = typed_curve(
+        line=line,
+        spline=spline,
+        via=via,
+        center=center,
+        blend=blend,
+        speed=speed,
+        acceleration=acceleration,
+        rotational_speed=rotational_speed,
+        orienting=orienting,
+    )
+    typed = to or joints_goal is not None or any_of or freedom != EXACT or curve is not None
+    goal = typed_goal(to, joints_goal, any_of, freedom, curve) if typed else None
     if [plan, plan_id, goal].count(None) < 2:
         raise typer.BadParameter("give one of them at most", param_hint="--plan / --plan-id / --to / --joints")
     if velocity_scale is not None and goal is None:

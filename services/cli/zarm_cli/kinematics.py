@@ -8,8 +8,8 @@ import typer
 
 from zarm.connection import ANSWER_SECONDS
 from zarm_cli.client import AsJson, Connect, Name, connected, floats, joints, message
+from zarm_cli.goals import Free, Tip, Tolerance, ToleranceFrame, full_pose, typed_freedom
 from zarm_cli.output import degrees, facts, numbers, out, pose_text, print_json
-from zarm_cli.planning import Free, Tip, Tolerance, ToleranceFrame, full_pose, typed_freedom
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import CheckResults, FkPoses, IkRequest
 from zarm_runtime.session import DEFAULT_ENDPOINT

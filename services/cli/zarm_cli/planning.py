@@ -1,8 +1,7 @@
-"""`zarm plan`, and the goals typed for `plan`, `execute` and `ik`."""
+"""`zarm plan`, and plans as tables and files."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,44 +9,37 @@ import typer
 from rich.table import Table
 
 from zarm.robot import Robot
-from zarm.values import AXES, IDENTITY, tolerance_of
-from zarm_cli.client import AsJson, Connect, Name, connected, floats, joints, message
+from zarm.values import AXES
+from zarm_cli.client import AsJson, Connect, Name, connected, joints, message
+from zarm_cli.goals import (
+    AnyOf,
+    AsLine,
+    Blend,
+    Center,
+    Free,
+    JointsGoal,
+    Orienting,
+    RotationalSpeed,
+    Spline,
+    Tip,
+    To,
+    Tolerance,
+    ToleranceFrame,
+    ToolAcceleration,
+    ToolSpeed,
+    TypedGoal,
+    Via,
+    goal_fields,
+    typed_curve,
+    typed_freedom,
+    typed_goal,
+)
 from zarm_cli.output import degrees, facts, numbers, out, pose_text, print_json
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Plan, PlanRequest, PoseDeviation, PoseTolerance
+from zarm_contract.messages import Plan, PlanRequest, PoseDeviation, ToolMotion
 from zarm_runtime.session import DEFAULT_ENDPOINT
 
-To = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="X,Y,Z[,QX,QY,QZ,QW]",
-        help="Pose of the tip in the base frame (m). Without an orientation the tip keeps its own. "
-        "Given several times: one motion through all of them in this order, without stopping.",
-    ),
-]
-AnyOf = Annotated[bool, typer.Option("--any", help="Of several --to, go to the one that takes the least time.")]
-Free = Annotated[
-    str | None,
-    typer.Option(metavar="AXIS,...", help=f"Components of --to that may have any value: {', '.join(AXES)}."),
-]
-Tolerance = Annotated[
-    str | None,
-    typer.Option(
-        metavar="AXIS=VALUE,...",
-        help="How far components of --to may be off (rad, m): theta_x=0.1,z=0.01. Or `radius` (m): anywhere in a ball.",
-    ),
-]
-ToleranceFrame = Annotated[
-    Literal["base", "tool"] | None,
-    typer.Option(help="Axes of x, y and z in --free and --tolerance (default: tool, those of the goal)."),
-]
-Tip = Annotated[
-    str | None, typer.Option(metavar="LINK", help="Link or attached object to bring to --to (default: the tip).")
-]
-JointsGoal = Annotated[
-    str | None, typer.Option("--joints", metavar="A,B,C,...", help="Joint positions (rad), in the descriptor's order.")
-]
 VelocityScale = Annotated[
     float | None, typer.Option(help="Fraction of the joint velocity limits, above 0 and up to 1.")
 ]
@@ -60,6 +52,15 @@ def plan(
     tolerance: Tolerance = None,
     tolerance_frame: ToleranceFrame = None,
     tip: Tip = None,
+    line: AsLine = False,
+    spline: Spline = False,
+    via: Via = None,
+    center: Center = None,
+    blend: Blend = None,
+    speed: ToolSpeed = None,
+    acceleration: ToolAcceleration = None,
+    rotational_speed: RotationalSpeed = None,
+    orienting: Orienting = None,
     joints_goal: JointsGoal = None,
     start: Annotated[
         str | None,
@@ -86,8 +87,19 @@ def plan(
 ) -> None:
     """Plan a motion around the scene; nothing moves."""
     freedom = typed_freedom(free, tolerance, tolerance_frame, tip)
+    curve = typed_curve(
+        line=line,
+        spline=spline,
+        via=via,
+        center=center,
+        blend=blend,
+        speed=speed,
+        acceleration=acceleration,
+        rotational_speed=rotational_speed,
+        orienting=orienting,
+    )
     goal, at, constraint = (
-        typed_goal(to, joints_goal, any_of, freedom),
+        typed_goal(to, joints_goal, any_of, freedom, curve),
         joints(start, "--start"),
         _constraint(hold, hold_frame),
     )
@@ -113,72 +125,6 @@ def plan(
         out.print(table)
 
 
-@dataclass(frozen=True)
-class Freedom:
-    """What typed poses leave open: their tolerance, and the frame that is brought there."""
-
-    tolerance: PoseTolerance | None = None
-    tip: str | None = None
-
-    @property
-    def needs_orientation(self) -> bool:
-        """Whether the orientation of a typed pose matters."""
-        return self.tolerance is None or self.tolerance.orientation != ("free", "free", "free")
-
-    @property
-    def fields(self) -> dict[str, object]:
-        """The fields of a goal or of an `IkRequest`."""
-        return {"tolerance": self.tolerance, "tip": None if self.tip is None else {"link": self.tip}}
-
-
-EXACT = Freedom()
-"""No freedom at all."""
-
-
-def typed_freedom(
-    free: str | None, tolerance: str | None, frame: Literal["base", "tool"] | None, tip: str | None
-) -> Freedom:
-    """Read --free, --tolerance, --tolerance-frame and --tip; usage error for an unknown axis or value."""
-    bounds: dict[str, float] = {}
-    for part in tolerance.split(",") if tolerance else ():
-        axis, _, value = part.partition("=")
-        (bounds[axis],) = floats(value, "--tolerance", 1)
-    radius = bounds.pop("radius", None)
-    try:
-        allowed = tolerance_of(free.split(",") if free else (), bounds, radius, frame or "tool")
-    except InvalidRequest as error:
-        hint = "--free" if error.problem.field == "free" else "--tolerance"
-        raise typer.BadParameter(error.problem.message, param_hint=hint) from None
-    if frame is not None and allowed is None:
-        raise typer.BadParameter("belongs to --free or --tolerance", param_hint="--tolerance-frame")
-    return Freedom(allowed, tip)
-
-
-@dataclass(frozen=True)
-class TypedGoal:
-    """A typed goal: joints (rad), or tip poses whose orientation is optional.
-
-    With `any_of` the motion goes to one of the poses, otherwise through all.
-    """
-
-    joints: list[float] | None
-    poses: list[list[float]]
-    any_of: bool
-    freedom: Freedom
-
-
-def typed_goal(to: list[str] | None, joints_goal: str | None, any_of: bool, freedom: Freedom = EXACT) -> TypedGoal:
-    """Read --to and --joints, one of which must be given, --any and the freedom; usage error otherwise."""
-    if bool(to) == (joints_goal is not None):
-        raise typer.BadParameter("give exactly one of them", param_hint="--to / --joints")
-    if any_of and not to:
-        raise typer.BadParameter("belongs to --to", param_hint="--any")
-    if freedom != EXACT and not to:
-        raise typer.BadParameter("belong to --to", param_hint="--free / --tolerance / --tip")
-    poses = [floats(pose, "--to", 3, 7) for pose in to or []]
-    return TypedGoal(joints(joints_goal, "--joints"), poses, any_of, freedom)
-
-
 def _constraint(axes: str | None, frame: str | None) -> dict[str, object] | None:
     """Read --hold and --hold-frame; usage error for an unknown axis."""
     if axes is None:
@@ -197,30 +143,7 @@ def request_plan(robot: Robot, goal: TypedGoal, *, start: list[float] | None = N
 
     Raises the planner's error.
     """
-    return robot.request_plan(message(PlanRequest, goal=_goal(robot, goal, start), start=start, **asked))
-
-
-def _goal(robot: Robot, typed: TypedGoal, start: list[float] | None) -> dict[str, object]:
-    if typed.joints is not None:
-        return {"kind": "joints", "position": typed.joints}
-    freedom = typed.freedom
-    poses = [full_pose(robot, pose, start, oriented=freedom.needs_orientation) for pose in typed.poses]
-    if typed.any_of or len(poses) == 1:
-        return {"kind": "pose", **poses[0], "alternatives": poses[1:], **freedom.fields}
-    return {"kind": "waypoints", "through": [{"kind": "pose", **pose, **freedom.fields} for pose in poses]}
-
-
-def full_pose(
-    robot: Robot, typed: list[float], at: list[float] | None = None, *, oriented: bool = True
-) -> dict[str, list[float]]:
-    """Position and orientation of a typed pose; by default the orientation is the tip's at the joints `at`, or
-    measured, if it is to be `oriented` at all.
-    """
-    if len(typed) == 3 and not oriented:
-        typed = [*typed, *IDENTITY]
-    if len(typed) == 3:
-        typed = [*typed, *(robot.tip() if at is None else robot.fk([at])[0]).orientation]
-    return {"position": typed[:3], "orientation": typed[3:]}
+    return robot.request_plan(message(PlanRequest, goal=goal_fields(robot, goal, start), start=start, **asked))
 
 
 def plan_table(found: Plan) -> Table:
@@ -235,9 +158,20 @@ def plan_table(found: Plan) -> Table:
         *((("passes", f"its waypoints at {numbers(found.waypoint_times)} s"),) if found.waypoint_times else ()),
         ("clearance", f"{found.clearance * 1e3:.1f} mm at the closest, in scene revision {found.scene_revision}"),
         ("ends at", pose_text(found.tip)),
+        *tool_rows(found.tool),
         *((("off the goal", deviation_text(found.goal_deviation)),) if found.goal_deviation else ()),
         ("joints", f"{numbers(found.trajectory.position[-1], 4)} rad = {degrees(found.trajectory.position[-1])} deg"),
     )
+
+
+def tool_rows(tool: ToolMotion | None) -> list[tuple[str, str]]:
+    """How the tip moves along a curve, as rows of a table."""
+    if tool is None:
+        return []
+    share = f"{100 * tool.speed_share:.0f} % of its way"
+    return [
+        ("tool", f"{1e3 * tool.length:.1f} mm, at {tool.speed:g} m/s or {tool.rotational_speed:g} rad/s on {share}")
+    ]
 
 
 def deviation_text(deviation: PoseDeviation) -> str:

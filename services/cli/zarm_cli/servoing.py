@@ -18,8 +18,9 @@ from zarm.robot import Robot
 from zarm.servoing import PERIOD, Jogging, limited
 from zarm.values import Pose
 from zarm_cli.client import SIGNALS, AsJson, Connect, Name, connected
+from zarm_cli.goals import JointsGoal, To, typed_goal
 from zarm_cli.output import err, facts, out, print_json
-from zarm_cli.planning import JointsGoal, To, VelocityScale, typed_goal
+from zarm_cli.planning import VelocityScale
 from zarm_contract.messages import ServoSession
 from zarm_runtime.session import DEFAULT_ENDPOINT
 

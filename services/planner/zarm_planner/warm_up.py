@@ -100,8 +100,8 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     for way in (0.02, 10.0):  # the second out of reach
         line = LineGoal(kind="line", position=(x, y, z + way), orientation_tolerance=("free", "free", "free"))
         with suppress(PlanningFailed):
-            task = ToolTask.of(context, line, home)
-            joints = Following(context, task.curve, task, home).path()
+            task = ToolTask.of(model, line, home)
+            joints = Following(context.scene, deadline, 0, task.curve, task, home).path()
             task.use_between(task.curve, joints)
             time_along(task.curve, joints, limits, 0.01)
     begin("the search under path constraints")

@@ -84,7 +84,7 @@ def test_a_request_that_names_the_new_planner_gets_its_trajectory(handlers: Hand
 
 
 def test_all_planners_are_listed_each_once(handlers: Handlers) -> None:
-    known = ("auto", "classic", "joint_space", "multi_point", "straight_line", "too_fast")
+    known = ("auto", "classic", "joint_space", "multi_point", "cartesian", "straight_line", "too_fast")
     assert handlers.planners().names == known
 
 

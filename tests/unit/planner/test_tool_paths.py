@@ -299,6 +299,7 @@ BEGIN = tip(M1013)
             "goal.center",
             "give via",
         ),
+        (ArcGoal(kind="arc", position=shifted(BEGIN, 0, 0.2, 0)), "goal.via", "either via"),
         (
             PathGoal(kind="path", points=points_of((0, 0.1, 0), (0, 0.1, 0))),
             "goal.points.1",

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator
 
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.messages.motion import (
@@ -148,12 +148,6 @@ class ArcGoal(ToolPathGoal):
     orientation: Quaternion | None = None
     via: Vector3 | None = None
     center: Vector3 | None = None
-
-    @model_validator(mode="after")
-    def _via_or_center(self) -> Self:
-        if (self.via is None) == (self.center is None):
-            raise ValueError("an arc needs either via, a point on it, or center; give one of them")
-        return self
 
 
 class PathPoint(Message):

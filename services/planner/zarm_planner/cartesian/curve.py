@@ -161,6 +161,10 @@ def _arc(goal: ArcGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str) 
 
 def _around(goal: ArcGoal, a: Array, b: Array, field: str) -> tuple[Array, Array, float]:
     """The centre (3,), the unit normal (3,) and the angle (rad) of an arc from `a` to `b` (3,)."""
+    if (goal.via is None) == (goal.center is None):
+        raise InvalidRequest(
+            "an arc needs either via, a point on it, or center; give one of them", field=f"{field}.via"
+        )
     if goal.via is not None:
         via = np.array(goal.via)
         p, q = via - a, b - a

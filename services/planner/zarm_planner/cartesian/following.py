@@ -12,11 +12,12 @@ from zarm_geometry.collision import is_free
 from zarm_geometry.working_memory import working_memory
 from zarm_planner.cartesian.curve import ToolCurve
 from zarm_planner.cartesian.task import ToolTask
-from zarm_planner.context import PlanningContext
+from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.inverse import TOLERANCE
 from zarm_planner.kernels.pose_region import Regions
 from zarm_planner.kernels.tool_path import Breadth, follow, nearest_at, straighten
 from zarm_planner.kinematics.ik import NOTHING
+from zarm_planner.scene.planning_scene import PlanningScene
 
 Array = NDArray[np.float64]
 
@@ -36,7 +37,9 @@ _AT_LIMIT = 1e-6
 class Following:
     """Follows a curve from the configuration `start` (dof,) on, with the freedom of the `task`."""
 
-    context: PlanningContext
+    scene: PlanningScene
+    deadline: Deadline
+    seed: int
     curve: ToolCurve
     task: ToolTask
     start: Array
@@ -61,8 +64,7 @@ class Following:
         raise self._stopped(poses, furthest if len(furthest) >= len(reached) else reached, checked=True)
 
     def _open(self, path: Array) -> bool:
-        model, world = self.context.model, self.context.world
-        return is_free(model, world, path)
+        return is_free(self.scene.model, self.scene.world, path)
 
     def _regions(self) -> Regions:
         """Regions that a kernel may move along the curve."""
@@ -71,14 +73,14 @@ class Following:
 
     def _followed(self, poses: Array, breadth: Breadth, width: int, *, checked: bool) -> tuple[Array | None, Array]:
         """The path (n, dof) to the end of the curve if it is reached, and the path as far as it is."""
-        context, model = self.context, self.context.model
+        model = self.scene.model
         reached = np.empty((len(poses), width, model.dof))
         parents = np.zeros((len(poses), width), np.int64)
         counts = np.zeros(len(poses), np.int64)
         done = follow(
             self._regions(),
             model.arrays,
-            (context.world if checked else NOTHING).arrays,
+            (self.scene.world if checked else NOTHING).arrays,
             working_memory(model.arrays),
             checked,
             poses,
@@ -88,10 +90,10 @@ class Following:
             reached,
             parents,
             counts,
-            np.array([context.seed], np.uint64),
-            context.deadline.at,
+            np.array([self.seed], np.uint64),
+            self.deadline.at,
         )
-        context.deadline.check()
+        self.deadline.check()
         path, at = np.empty((done, model.dof)), 0
         for station in range(done - 1, -1, -1):
             path[station] = reached[station, at]
@@ -101,19 +103,19 @@ class Following:
     def _straight(self, poses: Array, path: Array, *, checked: bool) -> Array:
         if not self.task.has_freedom:
             return path
-        context, model = self.context, self.context.model
+        model = self.scene.model
         straightened = path.copy()
         straighten(
             self._regions(),
             model.arrays,
-            (context.world if checked else NOTHING).arrays,
+            (self.scene.world if checked else NOTHING).arrays,
             working_memory(model.arrays),
             checked,
             poses,
             straightened,
-            context.deadline.at,
+            self.deadline.at,
         )
-        context.deadline.check()
+        self.deadline.check()
         return straightened
 
     def _stopped(self, poses: Array, path: Array, *, checked: bool) -> PlanningFailed:
@@ -133,7 +135,7 @@ class Following:
 
     def _obstacle(self, before: Array, q: Array, missed: float, *, checked: bool) -> str:
         """What keeps the tip from the station after the configuration `before`; `q` (dof,) is as near as it gets."""
-        model = self.context.model
+        model = self.scene.model
         joints = model.robot.descriptor.joints
         at_limit = np.minimum(q - model.lower, model.upper - q) < _AT_LIMIT
         remedy = "move the curve, turn the tool, or start in another configuration"
@@ -145,6 +147,6 @@ class Following:
         if np.abs(q - before).max() > _JUMP:
             joint = joints[int(np.argmax(np.abs(q - before)))]
             return f"{joint} would have to turn by {np.rad2deg(np.abs(q - before).max()):.0f} deg at once (a singularity); {remedy}"
-        nearest = self.context.exact.nearest(q, self.context.deadline.check)
+        nearest = self.scene.exact.nearest(q, self.deadline.check)
         a, b = nearest.pair or ("the robot", "itself")
         return f"{a} would come too near to {b}; clear the way, lower margin, or move the curve"

@@ -12,8 +12,8 @@ from scipy.interpolate import CubicSpline
 
 from zarm_contract.messages import CartesianGoal, PoseTolerance
 from zarm_geometry.frames import pose_of
+from zarm_geometry.robot_model import RobotModel
 from zarm_planner.cartesian.curve import ToolCurve, tool_curve
-from zarm_planner.context import PlanningContext
 from zarm_planner.kernels.pose_region import COMPONENTS
 from zarm_planner.kernels.tool_path import deviations_along
 from zarm_planner.kinematics.pose_region import PoseRegion, tip_frame
@@ -36,9 +36,9 @@ class ToolTask:
     region: PoseRegion
 
     @classmethod
-    def of(cls, context: PlanningContext, goal: CartesianGoal, start: Array) -> Self:
+    def of(cls, model: RobotModel, goal: CartesianGoal, start: Array) -> Self:
         """The task of a goal, from the joints `start` (dof,). Raises InvalidRequest that names the field of the request."""
-        model, tool = context.model, context.model.robot.descriptor.tool
+        tool = model.robot.descriptor.tool
         tolerance = PoseTolerance(orientation=goal.orientation_tolerance)
         joint, frame = tip_frame(model, goal.tip, "goal.tip")
         begin = model.fk_joint(joint, start) @ frame

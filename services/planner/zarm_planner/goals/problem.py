@@ -49,7 +49,7 @@ class PlanningProblem:
         model, constraint = context.model, None
         if isinstance(goal, CartesianGoal):
             check_start(context, start)
-            return cls(End.at(start), (), goal, None, tool_task=ToolTask.of(context, goal, start))
+            return cls(End.at(start), (), goal, None, tool_task=ToolTask.of(model, goal, start))
         if constrains(context.path_constraint):
             constraint = ConstraintManifold.of(model, context.path_constraint, model.fk_tip(start))
         lead_in: LeadIn | None = None

@@ -61,7 +61,7 @@ class CartesianPlanner(Planner):
         for number in range(_REFINEMENTS):
             try:
                 with context.timer.stage("search"):
-                    path = Following(context, curve, task, start).path()
+                    path = Following(context.scene, context.deadline, context.seed, curve, task, start).path()
                 with context.timer.stage("shortcut"):
                     if task.use_between(curve, path) <= _SHARE:
                         return curve, path
