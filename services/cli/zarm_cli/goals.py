@@ -80,7 +80,8 @@ class Freedom:
     @property
     def fields(self) -> dict[str, object]:
         """The fields of a goal or of an `IkRequest`."""
-        return {"tolerance": self.tolerance, "tip": None if self.tip is None else {"link": self.tip}}
+        tolerance = None if self.tolerance is None else self.tolerance.model_dump(exclude_none=True)
+        return {"tolerance": tolerance, "tip": None if self.tip is None else {"link": self.tip}}
 
 
 EXACT = Freedom()

@@ -30,7 +30,9 @@ _SPACING = 0.01, math.radians(2.0)
 _FEWEST = 12
 """Least intervals between stations on a line or an arc."""
 _CORNER = 8
-"""Intervals between stations in a corner."""
+"""Most intervals between stations in a corner; a slight one has fewer."""
+_CORNER_ERROR = 1e-4, math.radians(0.1), 0.005
+"""m and rad by which the legs of a corner differ for each of its intervals; m of a line that has one interval only."""
 _TRANSPORT = 2000
 """Steps in which an orientation follows the tangent of a spline."""
 
@@ -306,15 +308,21 @@ def _polyline(
         inner = knots[i] + half[i], knots[i + 1] - half[i + 1]
         if half[i] > 0.0:
             edges.append(inner[0])
-            counts.append(_CORNER)
+            counts.append(_corner_intervals(half[i] * rate[i - 1 : i + 1], spin[i - 1 : i + 1] * half[i]))
         straight = max((inner[1] - inner[0]) / steps[i], 0.0)
         if straight > 1e-9:
-            few = _FEWEST if len(steps) == 1 else 2
+            few = _FEWEST if len(steps) == 1 else 1 if straight * length < _CORNER_ERROR[2] else 2
             edges.append(inner[1])
             counts.append(
                 max(few, math.ceil(straight * length / _SPACING[0]), math.ceil(straight * angle / _SPACING[1]))
             )
     return ToolCurve(at, tuple(rests), _divided(np.array(edges), counts), *_values(speeds))
+
+
+def _corner_intervals(legs: Array, turns: Array) -> int:
+    """Into how many intervals a corner is divided, from the two legs (2, 3) in m and turns (2, 3) in rad that it joins."""
+    bend = float(np.linalg.norm(legs[1] - legs[0])), float(np.linalg.norm(turns[1] - turns[0]))
+    return int(np.clip(math.ceil(max(bend[0] / _CORNER_ERROR[0], bend[1] / _CORNER_ERROR[1])), 2, _CORNER))
 
 
 def _along_lines(goal: PathGoal, points: Array, lengths: Array, begin: Rotation, field: str) -> Rotation:

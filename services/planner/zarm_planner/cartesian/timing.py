@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from zarm_contract.messages import ToolMotion
 from zarm_planner.cartesian.curve import ToolCurve
+from zarm_planner.kernels.quintic import segment_loads
 from zarm_planner.timing.sampling import TOLERANCE, load, within
 from zarm_planner.timing.time_parameterization import fastest_along, joined
 from zarm_trajectory.limits import Limits
@@ -21,12 +22,14 @@ Array = NDArray[np.float64]
 
 _SAMPLING = 0.01
 """Longest interval (s) between samples."""
-_ROUNDS = 6
-"""How often the joints' limits are lowered before the whole motion is slowed down."""
-_TOOL_TOLERANCE = 2e-3
-"""Share by which the tool may be too fast."""
-_FURTHER = 1.001
-"""Factor by which limits are lowered further than the load says."""
+_ROUNDS = 8
+"""How often the speed is lowered where it is too high, before the whole motion is slowed down."""
+_JERK_SHARE = 0.7
+"""Share of the permitted jerk that the curve may take at constant velocity."""
+_AROUND = 0.01
+"""s before and after a sample that is too fast where the speed is lowered, besides the averaging time."""
+_FURTHER = 1.005
+"""Factor by which speed is lowered further than the load says."""
 _RAMP = 0.1
 """s in which the tool's acceleration grows to its full value."""
 _PARTS = 4
@@ -68,53 +71,63 @@ def _measured(curve: ToolCurve) -> Array:
 
 
 def _timed(curve: ToolCurve, stations: Array, rows: Array, limits: Limits, dt: float) -> TimedTrajectory | None:
+    """The motion through `rows`, joints and columns of PROGRESS, at the stations of a section.
+
+    Where it exceeds a limit, which jerk does in corners, its speed is lowered there, and the rest stays as fast as asked.
+    """
     spline = CubicSpline(stations, rows)
     along = TimedTrajectory(stations - stations[0], rows, spline(stations, 1), spline(stations, 2))
-    lowered = eased = 1.0
+    wide = _with_tool(limits, curve)
+    cap = _jerk_cap(spline, wide)
     for number in itertools.count(1):
-        profile = fastest_along(along, _with_tool(_slower(limits, lowered), curve, eased), dt)
-        if profile is None:
+        if (profile := fastest_along(along, wide, dt, cap=cap)) is None:
             break
         trajectory = profile.sample(1.0, dt)
-        joints, tool = _loads(trajectory, limits, curve)
-        if joints <= 1.0 + TOLERANCE and tool <= 1.0 + _TOOL_TOLERANCE:
+        if load(trajectory, wide) <= 1.0 + TOLERANCE:
             return trajectory
         if number == _ROUNDS:
-            return within(partial(profile.sample, dt=dt), _with_tool(limits, curve))
-        lowered *= max(joints, 1.0) * _FURTHER if joints > 1.0 + TOLERANCE else 1.0
-        eased *= max(tool, 1.0) * _FURTHER if tool > 1.0 + _TOOL_TOLERANCE else 1.0
+            return within(partial(profile.sample, dt=dt), wide)
+        cap = _lowered(cap, along.time, trajectory, profile.window, wide)
     return None
 
 
-def _loads(trajectory: TimedTrajectory, limits: Limits, curve: ToolCurve) -> tuple[float, float]:
-    """How far the joints use their limits, and the tool its own, see `sampling.load`."""
-    dof = len(limits.velocity)
-    wide = _with_tool(limits, curve)
-    tool = replace(limits, velocity=wide.velocity[dof:], acceleration=wide.acceleration[dof:], jerk=wide.jerk[dof:])
-    return load(columns(trajectory, slice(dof)), limits), load(columns(trajectory, slice(dof, None)), tool)
+def _jerk_cap(spline: CubicSpline, limits: Limits) -> Array:
+    """Velocities (n,) along a curve at its stations at which the curve itself, at constant velocity, takes _JERK_SHARE of
+    the permitted jerk.
+    """
+    third = np.abs(6.0 * spline.c[0]) / limits.jerk  # of each piece, (n - 1, columns)
+    most = third.max(axis=1)
+    at_stations = np.maximum(np.append(most, 0.0), np.insert(most, 0, 0.0))
+    return np.asarray(np.cbrt(_JERK_SHARE / np.maximum(at_stations, 1e-9)))
 
 
-def _slower(limits: Limits, factor: float) -> Limits:
-    """The limits under which any motion takes `factor` times as long."""
-    return replace(
-        limits,
-        velocity=limits.velocity / factor,
-        acceleration=limits.acceleration / factor**2,
-        jerk=limits.jerk / factor**3,
+def _lowered(cap: Array, stations: Array, trajectory: TimedTrajectory, window: float, limits: Limits) -> Array:
+    """The velocities `cap` (n,) at the stations, lower where a trajectory with an averaging `window` (s) exceeds limits."""
+    loads = np.empty(len(trajectory.time) - 1)
+    segment_loads(
+        trajectory.time, trajectory.position, trajectory.velocity, trajectory.acceleration, limits.rates, loads
     )
+    column = -PROGRESS
+    way, speed = trajectory.position[:, column] - trajectory.position[0, column], trajectory.velocity[:, column]
+    lowered = cap.copy()
+    for i in np.flatnonzero(loads > 1.0).tolist():
+        reach = (window + _AROUND) * max(speed[i], speed[i + 1])
+        near = (stations >= way[i] - reach) & (stations <= way[i + 1] + reach)
+        lowered[near] = np.minimum(lowered[near], max(speed[i], speed[i + 1]) / (loads[i] * _FURTHER))
+    return lowered
 
 
-def _with_tool(limits: Limits, curve: ToolCurve, eased: float = 1.0) -> Limits:
-    """The limits of the joints and of the columns of PROGRESS; the tool's acceleration is `eased` like `_slower` does."""
+def _with_tool(limits: Limits, curve: ToolCurve) -> Limits:
+    """The limits of the joints and of the columns of PROGRESS."""
     turning = curve.rotational_speed / curve.speed
     free = 1e6  # the parameter itself is not limited
     speed = np.array((free, curve.speed, curve.rotational_speed))
-    acceleration = np.array((free, curve.acceleration, curve.acceleration * turning)) / eased**2
+    acceleration = np.array((free, curve.acceleration, curve.acceleration * turning))
     return replace(
         limits,
         velocity=np.append(limits.velocity, speed),
         acceleration=np.append(limits.acceleration, acceleration),
-        jerk=np.append(limits.jerk, acceleration / (eased * _RAMP)),
+        jerk=np.append(limits.jerk, acceleration / _RAMP),
     )
 
 

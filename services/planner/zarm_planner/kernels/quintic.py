@@ -150,3 +150,29 @@ def followed(
     times[k] = time[samples - 1]
     found[k] = position[samples - 1]
     return times, found
+
+
+@brief
+def segment_loads(
+    time: Array, position: Array, velocity: Array, acceleration: Array, limits: Array, out: Array
+) -> None:
+    """Write to `out` (n - 1,) bounds of how far each of the quintics through samples at `time` (n,), each (n, dof), uses
+    `limits` (3, dof) of velocity, acceleration and jerk, as `sampling.load`: from the control points of the derivatives.
+    """
+    for i in range(time.shape[0] - 1):
+        h = time[i + 1] - time[i]
+        most = 0.0
+        for j in range(position.shape[1]):
+            v0, v1 = velocity[i, j] * h, velocity[i + 1, j] * h
+            a0, a1 = acceleration[i, j] * h * h, acceleration[i + 1, j] * h * h
+            c3, c4, c5 = _highest(position[i + 1, j] - position[i, j], v0, a0, v1, a1)
+            jerk = max(abs(6.0 * c3), abs(6.0 * c3 + 24.0 * c4 + 60.0 * c5), abs(6.0 * c3 + 12.0 * c4))
+            bend = max(abs(a0), abs(a1), abs(a0 + 2.0 * c3), abs(a0 + 4.0 * (c3 + c4)))
+            speed = max(abs(v0), abs(v1), abs(v0 + 0.25 * a0), abs(v0 + 0.5 * a0 + 0.5 * c3), abs(v1 - 0.25 * a1))
+            most = max(
+                most,
+                speed / (h * limits[0, j]),
+                math.sqrt(bend / (h * h * limits[1, j])),
+                (jerk / (h * h * h * limits[2, j])) ** (1.0 / 3.0),
+            )
+        out[i] = most

@@ -187,18 +187,26 @@ class _ToppraPath:
 
 
 def fastest_along(
-    curve: TimedTrajectory, limits: Limits, dt: float, step: float = math.inf, least: int = 1
+    curve: TimedTrajectory,
+    limits: Limits,
+    dt: float,
+    step: float = math.inf,
+    least: int = 1,
+    cap: Array | None = None,
 ) -> Profile | None:
     """TOPPRA under the limits on velocity and acceleration, at points at most `step` (rad) apart, `least` on each piece
-    of the curve; None if it fails numerically.
+    of the curve; None if it fails numerically. `cap` bounds the velocity along the curve at each of these points.
     """
-    from zarm_planner.timing.toppra_without_plots import TOPPRA
+    from zarm_planner.timing.toppra_without_plots import TOPPRA, CappedVelocityConstraint
 
     pieces = np.maximum(least, np.ceil(np.diff(curve.time) / step)).astype(int)
     s = np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), curve.time)
     used = Averaging.of(total_ways(curve.position), limits.rates, _SHORTEST * dt)
+    velocity, acceleration = _constraints(tuple(used.velocity), tuple(used.acceleration))
+    if cap is not None:
+        velocity = CappedVelocityConstraint(used.velocity, cap)
     toppra = TOPPRA(
-        _constraints(tuple(used.velocity), tuple(used.acceleration)),
+        [velocity, acceleration],
         _ToppraPath(curve),
         gridpoints=s,
         solver_wrapper="seidel",
