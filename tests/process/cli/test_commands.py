@@ -69,6 +69,35 @@ def test_of_several_poses_with_any_the_quickest_to_reach_is_planned_to(up: Up, e
     assert "--to number 2 of 3" in done(up, "plan", *poses, "--any", "--start", vector(HOME))
 
 
+def test_free_components_and_tolerances_of_a_pose_are_used(up: Up, empty_scene: None) -> None:
+    free = data(up, "plan", "--to", "0.5,0.2,0.5", "--free", "theta_x,theta_y,theta_z", "--start", vector(HOME))
+    assert free["tip"]["position"] == pytest.approx([0.5, 0.2, 0.5], abs=1e-4)
+    assert len(free["goal_deviation"]) == 6
+    boxed = data(
+        up, "plan", "--to", f"0.5,0.2,0.5,{DOWN}", "--tolerance", "x=0.02,theta_z=0.3", "--start", vector(HOME)
+    )
+    assert abs(boxed["goal_deviation"][3]) <= 0.02
+    solutions = data(up, "ik", "--to", f"0.5,0.2,0.5,{DOWN}", "--free", "theta_z", "--near", vector(HOME))
+    assert solutions["solutions"][0]
+    assert "--tolerance" in refused(up, "plan", "--to", "0.5,0.2,0.5", "--tolerance", "roll=0.1", code=2)
+    assert "--free" in refused(up, "plan", "--joints", vector(HOME), "--free", "theta_z", code=2)
+
+
+def test_a_line_is_planned_at_the_speed_of_the_tool(up: Up, empty_scene: None) -> None:
+    x, y, z = data(up, "fk", "--joints", vector(HOME))["poses"][0]["position"]
+    line = ("plan", "--to", f"{x},{y + 0.2},{z}", "--line", "--speed", "0.05", "--start", vector(HOME))
+    plan = data(up, *line, "--free", "theta_z")
+    assert plan["tool"]["speed"] == 0.05
+    assert plan["tool"]["length"] == pytest.approx(0.2, abs=1e-4)
+    assert "at 0.05 m/s" in done(up, *line)
+    around = ("--via", f"{x + 0.07},{y + 0.1},{z}", "--orienting", "tangent")
+    assert data(up, "plan", "--to", f"{x},{y + 0.2},{z}", *around, "--start", vector(HOME))["tool"]["length"] > 0.2
+    corner = ("--to", f"{x},{y + 0.2},{z}", "--to", f"{x},{y + 0.2},{z - 0.1}", "--line", "--blend", "0.02")
+    assert data(up, "plan", *corner, "--start", vector(HOME))["tool"]["length"] == pytest.approx(0.3, abs=0.01)
+    assert "% of its way" in refused(up, "plan", "--to", f"5,{y},{z}", "--line", "--start", vector(HOME))
+    assert "--line" in refused(up, "plan", "--to", f"{x},{y},{z}", "--speed", "0.1", code=2)
+
+
 def test_plan_takes_start_timeout_and_velocity_scale(up: Up, empty_scene: None) -> None:
     arguments = ("plan", "--start", vector(HOME), "--joints", near_home(-0.4), "--timeout", "3")
     fast, slow = data(up, *arguments), data(up, *arguments, "--velocity-scale", "0.2")

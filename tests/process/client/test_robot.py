@@ -100,6 +100,42 @@ def test_what_cannot_be_is_an_error_of_zarm_that_names_the_field(make: object, f
     assert refused.value.problem.field == field
 
 
+def test_goal_with_freedom_is_planned_and_solved(robot: zarm.Robot) -> None:
+    (there,) = robot.fk([ELSEWHERE])
+    plan = robot.plan(zarm.PoseGoal(there.position), start=HOME)
+    assert plan.tip.position == pytest.approx(there.position, abs=1e-5)
+    about = zarm.PoseGoal(there, free=["theta_z"], tolerance={"x": 0.01})
+    assert abs((robot.plan(about, start=HOME).goal_deviation or (1.0,) * 6)[3]) <= 0.01
+    assert robot.ik(about, near=HOME)
+    link = robot.plan(zarm.PoseGoal(there, tip=zarm.TipFrame("link_6")), start=HOME)
+    assert link.trajectory.position
+
+
+def test_lines_arcs_and_paths_of_the_tip_are_planned(robot: zarm.Robot) -> None:
+    x, y, z = robot.fk([HOME])[0].position
+    line = robot.plan(zarm.Line((x, y + 0.2, z), speed=0.1, free=["theta_z"]), start=HOME)
+    arc = robot.plan(zarm.Arc((x, y + 0.2, z), via=(x + 0.07, y + 0.1, z), orienting="tangent"), start=HOME)
+    path = robot.plan(zarm.Path((x, y + 0.2, z), (x, y + 0.2, z - 0.1), blend=0.02), start=HOME)
+    lengths = [plan.tool.length for plan in (line, arc, path) if plan.tool is not None]
+    assert lengths == pytest.approx([0.2, 0.2535, 0.298], abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
+        (lambda: zarm.Line((0.1, 0.2, 0.3), free=["x"]), "free"),  # type: ignore[list-item]
+        (lambda: zarm.Line((0.1, 0.2, 0.3), speed=0.0), "speed"),
+        (lambda: zarm.PoseGoal((0.1, 0.2, 0.3), tolerance={"roll": 0.1}), "tolerance"),
+        (lambda: zarm.PoseGoal((0.1, 0.2, 0.3), tolerance={"x": -0.1}), "position.0"),
+        (lambda: zarm.PoseGoal((0.1, 0.2, 0.3), tolerance={"x": 0.1}, radius=0.1), "radius"),
+    ],
+)
+def test_freedom_that_makes_no_sense_is_refused_by_argument(make: object, field: str) -> None:
+    with pytest.raises(zarm.InvalidRequest) as refused:
+        make()  # type: ignore[operator]
+    assert refused.value.problem.field == field
+
+
 def test_of_several_poses_the_one_that_is_quickest_to_reach_is_planned_to(robot: zarm.Robot) -> None:
     there, near = robot.fk([ELSEWHERE, [(a + 3 * b) / 4 for a, b in zip(ELSEWHERE, HOME, strict=True)]])
     plan = robot.plan(zarm.AnyOf(zarm.Pose((5.0, 0.0, 0.5)), there, near), start=HOME)
