@@ -38,6 +38,7 @@ from zarm_contract.messages import (
     Planners,
     PlannerSettings,
     PlanRequest,
+    ProgramRequest,
     ReplaceTrajectory,
     Scene,
     SceneEdit,
@@ -81,6 +82,14 @@ class Keys:
         "Plan a verified motion; nothing moves.",
         to="planner",
         by=(*DRIVES, "servo"),  # which replans around obstacles
+    )
+    program = Query(
+        "planner/program",
+        ProgramRequest,
+        Plan,
+        "Plan the segments of a program as one verified motion; nothing moves.",
+        to="planner",
+        by=DRIVES,
     )
     plan_cancel = Query(
         "planner/cancel", CancelPlan, CancelledPlan, "End the planning of one request.", to="planner", by=DRIVES

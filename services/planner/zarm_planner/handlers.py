@@ -15,7 +15,7 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
+from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable, ZarmError
 from zarm_contract.messages import (
     Attached,
     AttachObject,
@@ -29,6 +29,7 @@ from zarm_contract.messages import (
     FkRequest,
     IkRequest,
     IkSolutions,
+    Move,
     Occupancy,
     OccupancyRequest,
     Plan,
@@ -36,6 +37,8 @@ from zarm_contract.messages import (
     PlannerSettings,
     PlanRequest,
     PlanTimings,
+    PlannedSegment,
+    ProgramRequest,
     Scene,
     SceneEdit,
     SceneObject,
@@ -60,10 +63,13 @@ from zarm_planner.kinematics.pose_region import PoseRegion
 from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.base import Planner
 from zarm_planner.planners.registry import AUTO, PLANNERS, check_name, choose, names_of
+from zarm_planner.programs import PlannedProgram, SceneChange, of_only_segment, plan_program, with_ways
+from zarm_planner.scene.attached_objects import attach, detach
 from zarm_planner.scene.moved_objects import MovedObjects
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.scene.store import SceneStore
 from zarm_planner.scheduler import Scheduler
+from zarm_planner.stage_timer import StageTimer
 from zarm_planner.warm_up import warm_up
 from zarm_runtime.requester import requester
 from zarm_trajectory.limits import Limits
@@ -72,6 +78,8 @@ from zarm_trajectory.turns import whole_turns
 
 log = logging.getLogger(__name__)
 
+ChangeAt = tuple[float, SceneChange]
+"""What a program attaches or detaches at which time (s)."""
 _BATCH_TIMEOUT = 60.0
 """Time limit (s) for a batch of kinematics or checks."""
 
@@ -131,6 +139,8 @@ class Handlers:
         settings, model = self._settings, self._model
         if self._store.lost is not None:
             raise Unavailable(self._store.lost)
+        if with_ways(request.goal):
+            return self._with_ways(request)
         planner = self._choose(request)
 
         def work(deadline: Deadline) -> tuple[SceneRevision, Verified, PlanTimings]:
@@ -163,7 +173,16 @@ class Handlers:
         revision, verified, timings = self._scheduler.run(
             work, requester(), request.timeout or settings.timeout, request.request_id
         )
-        trajectory = verified.trajectory
+        return self._reply(revision, verified, timings)
+
+    def _reply(
+        self,
+        revision: SceneRevision,
+        verified: Verified,
+        timings: PlanTimings,
+        segments: tuple[PlannedSegment, ...] = (),
+    ) -> Plan:
+        model, trajectory = self._model, verified.trajectory
         return Plan.model_construct(  # from values just verified
             plan_id=f"p-{secrets.token_hex(4)}",
             robot=self._name,
@@ -174,6 +193,7 @@ class Handlers:
             selected_goal_index=verified.goal_pose,
             goal_deviation=verified.deviation,
             tool=verified.tool,
+            segments=segments,
             clearance=verified.clearance,
             too_near=verified.too_near,
             resolution=RESOLUTION,
@@ -181,6 +201,41 @@ class Handlers:
             path_length=trajectory.length,
             timings=timings,
         )
+
+    def _with_ways(self, request: PlanRequest) -> Plan:
+        """A goal with an approach or a retreat is a program of several motions."""
+        if request.start_state is not None or constrains(request.path_constraint):
+            field = "start_state" if request.start_state is not None else "path_constraint"
+            raise InvalidRequest("not with an approach or a retreat; leave one of them out", field=field)
+        fields = request.model_dump(include=ProgramRequest.model_fields.keys() & PlanRequest.model_fields.keys())
+        segment = Move.model_construct(kind="move", goal=request.goal)
+        try:
+            plan, _ = self.program(ProgramRequest.model_construct(segments=(segment,), **fields))
+        except ZarmError as error:
+            raise of_only_segment(error) from error
+        return plan.model_copy(update={"segments": ()})
+
+    def program(self, request: ProgramRequest) -> tuple[Plan, tuple[ChangeAt, ...]]:
+        """A program as one motion, and what it attaches and detaches. Raises a ZarmError that names the segment."""
+        settings = self._settings
+        if self._store.lost is not None:
+            raise Unavailable(self._store.lost)
+
+        def work(deadline: Deadline) -> tuple[SceneRevision, PlannedProgram, PlanTimings, Array]:
+            start = within_range(self._model, self._measured() if request.start is None else request.start, "start")
+            turns = whole_turns(start, self._model.continuous)
+            stage = _Stage(self, request, deadline)
+            planned = plan_program(stage, start - turns, request.segments, self._planners, deadline.check)
+            return stage.revision, planned, stage.timer.timings(), turns
+
+        revision, planned, timings, turns = self._scheduler.run(
+            work, requester(), request.timeout or settings.timeout, request.request_id
+        )
+        plan = self._reply(revision, planned.verified.shifted(turns), timings, planned.segments)
+        changes = tuple(
+            (at, change.model_copy(update={"joints": tuple((q + turns).tolist())})) for at, change, q in planned.changes
+        )
+        return plan, changes
 
     def planner_name(self, request: PlanRequest) -> str:
         """The name of the planner that takes a request, or would by default. Raises InvalidRequest."""
@@ -295,16 +350,17 @@ class Handlers:
                         field="edit.names",
                     )
             case AttachObject(name=name, touch_links=touch_links):
-                self._check_links(touch_links, "edit.touch_links")
-                if name in self._model.links:
-                    raise InvalidRequest(
-                        f"{name} is a link of the robot; add the object under another name", field="edit.name"
-                    )
+                self._check_attach(name, touch_links)
         if not isinstance(request.edit, AttachObject | DetachObject):
             return self._store.edit(request, prepare=self._prepare)
         given = request.edit.joints
         q = self._measured() if given is None else checked(self._model, given, "edit.joints")
         return self._store.edit(request, self._model.fk_tip(q), self._prepare)
+
+    def _check_attach(self, name: str, touch_links: tuple[str, ...]) -> None:
+        self._check_links(touch_links, "edit.touch_links")
+        if name in self._model.links:
+            raise InvalidRequest(f"{name} is a link of the robot; add the object under another name", field="edit.name")
 
     def _check_links(self, names: tuple[str, ...], field: str) -> None:
         links = self._model.links
@@ -368,6 +424,52 @@ class Handlers:
             return self._measured()
         except ExecutionRefused:
             return np.array(self._model.robot.descriptor.home)
+
+
+class _Stage:
+    """The surroundings of a program's segments: the scene as the program has changed it."""
+
+    def __init__(self, handlers: Handlers, request: ProgramRequest, deadline: Deadline) -> None:
+        self._handlers, self._request, self._deadline = handlers, request, deadline
+        self._scene = handlers._store.scene
+        self.revision = self._scene.revision
+        self.timer = StageTimer()
+        self._changed: _Ready | None = None
+
+    def context(self, velocity_scale: float | None, acceleration_scale: float | None) -> PlanningContext:
+        """See `programs.Stage`."""
+        request, handlers = self._request, self._handlers
+        settings, given = handlers._settings, request.self_margin
+        self_margin = handlers._model.robot.descriptor.self_margin if given is None else given
+        if self._changed is None:
+            scene = handlers._planning_scene(request.margin, self_margin)
+        else:
+            scene = self._changed.with_margins(
+                settings.margin if request.margin is None else request.margin, self_margin
+            )
+        limits = handlers._limits(
+            velocity_scale or request.velocity_scale or settings.velocity_scale,
+            acceleration_scale or request.acceleration_scale or settings.acceleration_scale,
+        )
+        return PlanningContext(
+            scene=scene,
+            limits=limits,
+            deadline=self._deadline,
+            max_attempts=request.max_attempts or settings.max_attempts,
+            seed=request.seed,
+            timer=self.timer,
+        )
+
+    def change(self, change: SceneChange, q: Array) -> None:
+        """See `programs.Stage`."""
+        handlers = self._handlers
+        tip = handlers._model.fk_tip(q)
+        if isinstance(change, AttachObject):
+            handlers._check_attach(change.name, change.touch_links)
+            self._scene = attach(self._scene, change, tip, handlers._store.meshes)
+        else:
+            self._scene = detach(self._scene, change, tip)
+        self._changed = handlers._made_ready(self._scene, handlers.moved.objects(self._scene))
 
 
 @dataclass

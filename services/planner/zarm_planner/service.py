@@ -6,6 +6,7 @@ import gc
 import logging
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
@@ -17,6 +18,7 @@ from zarm_contract.messages import (
     Plan,
     PlannerSettings,
     PlanRequest,
+    ProgramRequest,
     Scene,
     SceneEdit,
     SceneEdited,
@@ -27,6 +29,7 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_planner.goals.joints import MeasuredJoints
 from zarm_planner.handlers import Handlers
+from zarm_planner.program_changes import ProgramChanges
 from zarm_planner.scene.store import SceneStore
 from zarm_runtime.mesh_folders import add_meshes
 from zarm_runtime.metrics import Metrics
@@ -46,6 +49,8 @@ CAPACITY = 2 * ((os.cpu_count() or 1) + 16)
 own thread, in which it can be cancelled while it waits.
 """
 
+_PROGRAM = "program"
+"""What programs are called in metrics, beside the names of planners."""
 NEW_OBJECTS = 200_000
 """Objects allocated between two garbage collections: as many as 100,000 points and their cells, so that the collector seldom looks at a new
 cloud. At Python's 700 it looks at it again and again, which takes as long as the rest of the edit. A plan leaves 10 for it."""
@@ -105,14 +110,32 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
             settings.put(answer)
         return answer
 
+    def program(request: ProgramRequest) -> Encoded:
+        try:
+            answer, changes = handlers.program(request)
+        except ZarmError as error:
+            _count(service.metrics, _PROGRAM, error.code)
+            log.info("no program request=%s code=%s reason=%s", request.request_id or "-", error.code, error)
+            raise
+        if request.publish:
+            program_changes.remember(answer.plan_id, answer.trajectory.duration, changes)
+            encoded = plans.change(answer)
+            after_answer(plans.publish)
+        else:
+            encoded = Encoded.of(answer)
+        after_answer(lambda: _report(service.metrics, _PROGRAM, request.request_id, answer))
+        return encoded
+
     try:
-        _serve_scene(service, store.scene, handlers.edit, store.notes)
+        program_changes = ProgramChanges(_serve_scene(service, store.scene, handlers.edit, store.notes))
         bus.subscribe(keys.object_pose("*"), handlers.moved.receive)
         bus.serve(keys.settings, change_settings, workers=1)
         bus.latched(keys.planners).set(handlers.planners())
         bus.serve(keys.plan_cancel, handlers.cancel)
         bus.serve(keys.fk, when_warm(handlers.fk))
         compute(keys.plan, plan)
+        compute(keys.program, program)
+        bus.watch(keys.goal("*"), program_changes.receive)
         compute(keys.ik, handlers.ik)
         compute(keys.check, handlers.check)
         compute(keys.occupancy, handlers.occupancy)
@@ -151,8 +174,9 @@ def _serve_scene(
     now: Scene,
     change: Callable[[SceneEdit], Scene],
     notes: Callable[[SceneEdit], tuple[str, ...]],
-) -> None:
+) -> Callable[[SceneEdit], SceneEdited]:
     """Serve the scene, initially `now`, and its objects; apply requested edits with `change`, and publish every change.
+    Returns a function that does the same for this process.
 
     `notes` returns remarks on what an edit has added.
     """
@@ -161,6 +185,7 @@ def _serve_scene(
     whole = bus.latched(keys.scene)
     single = bus.latched(keys.scene_object("*"))
     shown: tuple[SceneObject, ...] = ()
+    one_at_a_time = threading.Lock()
 
     def show(scene: Scene) -> SceneEdited:
         nonlocal shown
@@ -177,11 +202,13 @@ def _serve_scene(
         return answer
 
     def edit(request: SceneEdit) -> SceneEdited:
-        edited = show(change(request))
+        with one_at_a_time:
+            edited = show(change(request))
         return edited.model_copy(update={"notes": notes(request)})
 
     show(now)
     bus.serve(keys.scene_edit, edit, workers=1)
+    return edit
 
 
 def main() -> int:

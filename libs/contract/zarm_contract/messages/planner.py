@@ -64,11 +64,28 @@ class TipFrame(Message):
     offset: Pose = Pose(position=(0.0, 0.0, 0.0))
 
 
+class Offset(Message):
+    """A straight way of `distance` (m) along `direction`, which need not have length 1, in the frame of the tip or the base."""
+
+    distance: Annotated[float, Field(gt=0, le=2)]
+    direction: Vector3
+    frame: Literal["base", "tool"] = "tool"
+
+    @field_validator("direction")
+    @classmethod
+    def _has_length(cls, direction: Vector3) -> Vector3:
+        if math.hypot(*direction) < 1e-6:
+            raise ValueError("a direction has a length; give one such as [0, 0, 1]")
+        return direction
+
+
 class PoseGoal(Message):
     """Move the tip to a pose in the base frame: `position` (m), `orientation` `[x, y, z, w]`.
 
     With `alternatives` it is a goal set: the plan leads to the pose that is reached in the shortest time. With a `tolerance` any pose
     within it is a goal, and the plan leads to one that is reached soon. `tip` names another frame than the descriptor's `tip_link`.
+    The last of the way there is straight along `approach`, and the way on, after a rest at the pose, straight along `retreat`, both with
+    the tip's speed of the descriptor.
     """
 
     kind: Literal["pose"]
@@ -77,6 +94,8 @@ class PoseGoal(Message):
     alternatives: tuple[Pose, ...] = Field(default=(), max_length=63)
     tolerance: PoseTolerance | None = None
     tip: TipFrame | None = None
+    approach: Offset | None = None
+    retreat: Offset | None = None
 
     @property
     def has_freedom(self) -> bool:
@@ -287,6 +306,15 @@ class TooNear(Message):
     time: NonNegative
 
 
+class PlannedSegment(Message):
+    """A segment of a program: when it begins and ends (s). What is attached or detached changes at its beginning."""
+
+    kind: Literal["move", "wait", "speed", "attach", "detach"]
+    name: Name | None = None
+    begin: NonNegative
+    end: NonNegative
+
+
 class Plan(Message):
     """A verified trajectory, valid only in the scene of `scene_revision` and for the robot of `robot_hash`.
 
@@ -296,7 +324,7 @@ class Plan(Message):
     says which pose of a pose goal that is: 0 is its own, k its k-th alternative. With waypoints it belongs to the last one.
     It is left out if the motion ends at a joint goal. `goal_deviation` says how a goal's tolerance is used: the components
     `[theta_x, theta_y, theta_z, x, y, z]` (rad, m) by which the end is off that pose, see `PoseTolerance`. `tool` is given for lines,
-    arcs and paths.
+    arcs and paths, `segments` for programs.
     """
 
     plan_id: Name
@@ -308,6 +336,7 @@ class Plan(Message):
     selected_goal_index: Annotated[int, Field(ge=0)] | None = None
     goal_deviation: PoseDeviation | None = None
     tool: ToolMotion | None = None
+    segments: tuple[PlannedSegment, ...] = ()
     clearance: float
     too_near: tuple[TooNear, ...] = ()
     resolution: Positive

@@ -139,6 +139,11 @@ def goal_ends(
         if constraint is not None and (fault := _broken(constraint, context.model.fk_tip(q))):
             raise fault.of_goal(field)
         return _with_long_ways(context, start, [end])
+    if goal.approach is not None or goal.retreat is not None:  # a waypoint is passed without stopping
+        raise InvalidRequest(
+            "a waypoint has no approach or retreat; give the pose as the goal, or as a segment of a program",
+            field=f"{field}.{'retreat' if goal.approach is None else 'approach'}",
+        )
     ends: list[End] = []
     faults: list[_Fault] = []
     poses = goal.poses

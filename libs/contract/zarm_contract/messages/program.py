@@ -1,0 +1,78 @@
+"""Programs: motions, waits and changes of what the robot carries, planned as a whole."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from zarm_contract._model import Message
+from zarm_contract.messages.motion import Joints, Name, Scale
+from zarm_contract.messages.planner import Attempts, Goal, Margin, Timeout
+
+
+class Move(Message):
+    """Move to a goal, or along a line, an arc or a path. `name` says in answers which segment it is."""
+
+    kind: Literal["move"]
+    goal: Goal
+    name: Name | None = None
+
+
+class Wait(Message):
+    """Stand still for `duration` (s)."""
+
+    kind: Literal["wait"]
+    duration: Annotated[float, Field(gt=0, le=3600)]
+    name: Name | None = None
+
+
+class SpeedChange(Message):
+    """Use these shares of the joints' limits from here on, in place of those of the request."""
+
+    kind: Literal["speed"]
+    velocity_scale: Scale
+    acceleration_scale: Scale | None = None
+    name: Name | None = None
+
+
+class Attach(Message):
+    """Attach `object` of the scene to the tip, where it then is, as `AttachObject` does; the planner edits the scene when the robot
+    gets there.
+    """
+
+    kind: Literal["attach"]
+    object: Name
+    touch_links: tuple[str, ...] = Field(default=(), max_length=32)
+    name: Name | None = None
+
+
+class Detach(Message):
+    """Detach `object` and leave it where it then is; the planner edits the scene when the robot gets there."""
+
+    kind: Literal["detach"]
+    object: Name
+    name: Name | None = None
+
+
+Segment = Annotated[Move | Wait | SpeedChange | Attach | Detach, Field(discriminator="kind")]
+
+
+class ProgramRequest(Message):
+    """Plan `segments` one after the other, as one motion that rests between them, from `start` (rad; default: the measured joints).
+
+    The configuration in which a segment ends is chosen so that the lines, arcs and paths after it can be followed. The other fields
+    are those of `PlanRequest`, for every segment; `timeout` (s) is the deadline of the whole program.
+    """
+
+    segments: tuple[Segment, ...] = Field(min_length=1, max_length=200)
+    start: Joints | None = None
+    request_id: Name | None = None
+    timeout: Timeout | None = None
+    max_attempts: Attempts | None = None
+    velocity_scale: Scale | None = None
+    acceleration_scale: Scale | None = None
+    margin: Margin | None = None
+    self_margin: Margin | None = None
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    publish: bool = True

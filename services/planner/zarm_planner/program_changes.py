@@ -1,0 +1,53 @@
+"""Attaches and detaches what programs say, when the robot gets there."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+
+from zarm_contract.errors import ZarmError
+from zarm_contract.messages import GoalState, SceneEdit, SceneEdited
+from zarm_planner.handlers import ChangeAt
+
+log = logging.getLogger(__name__)
+
+_REMEMBERED = 32
+"""Programs whose changes are known; the executor remembers as many plans."""
+
+
+class ProgramChanges:
+    """The changes of the latest programs. `edit` changes the scene. Thread-safe."""
+
+    def __init__(self, edit: Callable[[SceneEdit], SceneEdited]) -> None:
+        self._edit = edit
+        self._programs: OrderedDict[str, tuple[float, tuple[ChangeAt, ...]]] = OrderedDict()
+        self._made: dict[str, int] = {}  # how many changes each running goal has made
+        self._lock = threading.Lock()
+
+    def remember(self, plan_id: str, duration: float, changes: Sequence[ChangeAt]) -> None:
+        """Note what the program of a plan, which lasts `duration` s, attaches and detaches."""
+        if not changes:
+            return
+        with self._lock:
+            self._programs[plan_id] = duration, tuple(changes)
+            if len(self._programs) > _REMEMBERED:
+                self._programs.popitem(last=False)
+
+    def receive(self, _key: str, goal: GoalState) -> None:
+        """Make the changes that a goal has come to; one that was replanned makes none."""
+        with self._lock:
+            duration, changes = self._programs.get(goal.plan_id or "", (0.0, ()))
+            if abs(goal.duration - duration) > 1e-6:
+                return
+            made = self._made.get(goal.goal_id, 0)
+            due = [change for at, change in changes if at <= goal.progress * duration + 1e-6][made:]
+            self._made[goal.goal_id] = made + len(due)
+            if goal.done:
+                del self._made[goal.goal_id]
+            for change in due:
+                try:
+                    self._edit(SceneEdit(edit=change))
+                except ZarmError as error:
+                    log.error("scene not changed goal=%s object=%s reason=%s", goal.goal_id, change.name, error)

@@ -1,0 +1,273 @@
+"""Programs: segments planned one after the other, each from where the one before it ends, and joined to one motion.
+
+Where a motion leads to a pose that can be reached in several ways, the lines, arcs and paths after it decide which: only
+from some of them can all of these be followed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.errors import InvalidRequest, PlanningFailed, ZarmError
+from zarm_contract.messages import (
+    Attach,
+    AttachObject,
+    CartesianGoal,
+    Detach,
+    DetachObject,
+    Goal,
+    JointGoal,
+    LineGoal,
+    Move,
+    Offset,
+    PlannedSegment,
+    PoseGoal,
+    Segment,
+    SpeedChange,
+    Wait,
+)
+from zarm_geometry.frames import pose_of
+from zarm_planner.cartesian.following import Following
+from zarm_planner.cartesian.task import ToolTask
+from zarm_planner.context import PlanningContext
+from zarm_planner.goals.problem import PlanningProblem
+from zarm_planner.kinematics.pose_region import tip_frame
+from zarm_planner.pipeline import Verified, plan
+from zarm_planner.planners.base import Planner
+from zarm_planner.planners.registry import AUTO, choose
+from zarm_planner.timing.sampling import MAX_SAMPLES
+from zarm_planner.timing.time_parameterization import joined
+from zarm_trajectory.trajectory import TimedTrajectory
+
+Array = NDArray[np.float64]
+
+CHANGE_S = 0.2
+"""s for which the robot rests while something is attached or detached: the planner edits the scene meanwhile."""
+_CANDIDATES = 16
+"""Most configurations from which the curves after a motion are tried."""
+
+SceneChange = AttachObject | DetachObject
+
+
+class Stage(Protocol):
+    """The surroundings of a program's segments."""
+
+    def context(self, velocity_scale: float | None, acceleration_scale: float | None) -> PlanningContext:
+        """The context of a motion, with the scene as it is at that point of the program."""
+
+    def change(self, change: SceneChange, q: Array) -> None:
+        """Attach or detach an object with the robot at `q` (dof,). Raises InvalidRequest."""
+
+
+@dataclass(frozen=True)
+class PlannedProgram:
+    """A program as one motion. `changes` say what is attached or detached at which time (s), and the joints (dof,) there."""
+
+    verified: Verified
+    segments: tuple[PlannedSegment, ...]
+    changes: tuple[tuple[float, SceneChange, Array], ...]
+
+
+@dataclass
+class _Progress:
+    """What is planned so far."""
+
+    q: Array
+    parts: list[Verified] = field(default_factory=list)
+    motions: list[TimedTrajectory] = field(default_factory=list)
+    time: float = 0.0
+
+    def add(self, motion: TimedTrajectory) -> None:
+        self.motions.append(motion)
+        self.time += motion.duration
+        self.q = motion.end
+
+
+def plan_program(
+    stage: Stage, start: Array, segments: Sequence[Segment], planners: Sequence[Planner], check: Callable[[], None]
+) -> PlannedProgram:
+    """The motion of a program from the joints `start` (dof,).
+
+    Raises the error of the first segment that fails, which its message and field name; `check` may raise the deadline's.
+    """
+    done, planned, changes = _Progress(start), [], []
+    scales: tuple[float | None, float | None] = None, None
+    for number, segment in enumerate(segments):
+        begin = done.time
+        check()
+        try:
+            match segment:
+                case Move(goal=goal):
+                    after = _curves_after(segments[number + 1 :])
+                    for verified in _moves(stage.context(*scales), done.q, goal, after, planners):
+                        done.parts.append(verified)
+                        done.add(verified.trajectory)
+                case Wait(duration=duration):
+                    done.add(TimedTrajectory.standing(done.q, duration))
+                case SpeedChange():
+                    scales = segment.velocity_scale, segment.acceleration_scale
+                case Attach() | Detach():
+                    change = _change(segment)
+                    stage.change(change, done.q)
+                    changes.append((done.time, change, done.q))
+                    done.add(TimedTrajectory.standing(done.q, CHANGE_S))
+        except ZarmError as error:
+            raise _of_segment(error, number, segment) from error
+        planned.append(PlannedSegment(kind=segment.kind, name=segment.name, begin=begin, end=done.time))
+    if not done.parts:
+        raise InvalidRequest("no segment of the program moves the robot; add one of kind move", field="segments")
+    return PlannedProgram(_whole(done), tuple(planned), tuple(changes))
+
+
+def with_ways(goal: Goal) -> bool:
+    """Whether a goal asks for an approach or a retreat, and so for several motions."""
+    return isinstance(goal, PoseGoal) and (goal.approach is not None or goal.retreat is not None)
+
+
+def _change(segment: Attach | Detach) -> SceneChange:
+    if isinstance(segment, Attach):
+        return AttachObject(op="attach", name=segment.object, touch_links=segment.touch_links)
+    return DetachObject(op="detach", name=segment.object)
+
+
+def _curves_after(segments: Sequence[Segment]) -> list[CartesianGoal]:
+    """The lines, arcs and paths that follow, up to the next motion that is free to choose its way."""
+    curves: list[CartesianGoal] = []
+    for segment in segments:
+        if isinstance(segment, Move):
+            if not isinstance(segment.goal, CartesianGoal):
+                break
+            curves.append(segment.goal)
+    return curves
+
+
+def _moves(
+    context: PlanningContext, q: Array, goal: Goal, after: Sequence[CartesianGoal], planners: Sequence[Planner]
+) -> Iterator[Verified]:
+    """The motions of one segment from the joints `q` (dof,): to where a goal's approach begins, along it, along its
+    retreat; or the only one.
+    """
+    if not isinstance(goal, PoseGoal) or not (after or with_ways(goal)):
+        yield _planned(context, q, goal, planners)
+        return
+    bare = goal.model_copy(update={"approach": None, "retreat": None})
+    with context.timer.stage("ik"):
+        ends = PlanningProblem.of(context, q, bare).targets[-1]
+    failure: ZarmError | None = None
+    for end in ends[:_CANDIDATES]:
+        context.deadline.check()
+        try:
+            begin, ways = _ways(context, end.asked, goal)
+            _follow(context, begin, [*ways, *after])
+            joints = JointGoal(kind="joints", position=tuple(begin.tolist()))
+            motions = [_planned(context, q, joints, planners)]
+            for way in ways:
+                motions.append(_planned(context, motions[-1].trajectory.end, way, planners))
+        except PlanningFailed as error:
+            failure = failure or error
+            continue
+        chosen = replace(motions[-1], goal_pose=end.pose)
+        yield from (*motions[:-1], chosen)
+        return
+    if failure is not None and with_ways(goal):
+        raise failure
+    yield _planned(context, q, bare, planners)  # the curve itself then says how far it can be followed
+
+
+def _ways(context: PlanningContext, q: Array, goal: PoseGoal) -> tuple[Array, list[CartesianGoal]]:
+    """Where the approach to the configuration `q` (dof,) begins, and the lines from there: to the pose, and the retreat.
+
+    Raises PlanningFailed if the approach cannot be followed.
+    """
+    joint, frame = tip_frame(context.model, goal.tip, "goal.tip")
+    pose = context.model.fk_joint(joint, q) @ frame
+    ways: list[CartesianGoal] = []
+    begin = q
+    if goal.approach is not None:
+        before = _line_to(pose, _shift(pose, goal.approach, -1.0), goal)
+        begin = _followed(context, q, before)
+        ways.append(_line_to(pose, pose[:3, 3], goal))
+    if goal.retreat is not None:
+        ways.append(_line_to(pose, _shift(pose, goal.retreat, 1.0), goal))
+    return begin, ways
+
+
+def _line_to(pose: Array, position: Array, goal: PoseGoal) -> LineGoal:
+    x, y, z = position.tolist()
+    return LineGoal(kind="line", position=(x, y, z), orientation=pose_of(pose).orientation, tip=goal.tip)
+
+
+def _shift(pose: Array, offset: Offset, sign: float) -> Array:
+    direction = np.array(offset.direction) / np.linalg.norm(offset.direction)
+    along = pose[:3, :3] @ direction if offset.frame == "tool" else direction
+    return np.asarray(pose[:3, 3] + sign * offset.distance * along)
+
+
+def _follow(context: PlanningContext, q: Array, curves: Sequence[CartesianGoal]) -> None:
+    """Raises PlanningFailed unless all curves can be followed from the joints `q` (dof,), one after the other."""
+    for curve in curves:
+        q = _followed(context, q, curve)
+
+
+def _followed(context: PlanningContext, q: Array, goal: CartesianGoal) -> Array:
+    """Where a curve from `q` (dof,) ends. Raises PlanningFailed if it cannot be followed, or collides."""
+    task = ToolTask.of(context.model, goal, q)
+    with context.timer.stage("search"):
+        path = Following(context.scene, context.deadline, context.seed, task.curve, task, q).path()
+    if not context.exact.is_free(path, context.deadline.check):
+        a, b = context.exact.nearest(path, context.deadline.check).pair or ("the robot", "itself")
+        raise PlanningFailed(f"along the curve {a} would touch {b}; clear the way, or move the curve", code="no_path")
+    return np.asarray(path[-1])
+
+
+def _planned(context: PlanningContext, q: Array, goal: Goal, planners: Sequence[Planner]) -> Verified:
+    return plan(choose(AUTO, goal, False, planners=planners), context, q, goal)
+
+
+def _whole(done: _Progress) -> Verified:
+    """All motions as one, with the smallest clearance of any."""
+    trajectory = joined(done.motions)
+    if len(trajectory.time) > MAX_SAMPLES:
+        raise InvalidRequest(
+            f"the program lasts {trajectory.duration:.0f} s and needs more than the {MAX_SAMPLES} samples that one message holds; "
+            "split it",
+            field="segments",
+        )
+    last = done.parts[-1]
+    return replace(
+        last,
+        trajectory=trajectory,
+        clearance=min(part.clearance for part in done.parts),
+        too_near=tuple(near for part in done.parts for near in part.too_near),
+        waypoint_times=(),
+        tool=last.tool if len(done.motions) == 1 else None,
+    )
+
+
+def _of_segment(error: ZarmError, number: int, segment: Segment) -> ZarmError:
+    """The error of a segment, which it names."""
+    problem = error.problem
+    called = f"segment {number}" + (f", {segment.name}" if segment.name else "")
+    where = problem.field
+    at = f"segments.{number}" + (f".{where.removeprefix('edit.')}" if where and where != "start" else "")
+    return type(error)(
+        f"{called}: {problem.message}", code=problem.code, field=at, joint=problem.joint, fraction=problem.fraction
+    )
+
+
+def of_only_segment(error: ZarmError) -> ZarmError:
+    """The error of a program's only segment, without the segment's number."""
+    problem = error.problem
+    field = None if problem.field is None else problem.field.removeprefix("segments.0").removeprefix(".") or None
+    return type(error)(
+        problem.message.removeprefix("segment 0: "),
+        code=problem.code,
+        field=field,
+        joint=problem.joint,
+        fraction=problem.fraction,
+    )
