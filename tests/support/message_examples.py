@@ -88,6 +88,29 @@ _BALL = m.PoseTolerance(orientation=("free", "free", "free"), radius=0.05)
 _TIP_FRAME = m.TipFrame(link="gripper", offset=_POSE)
 _FREE_GOAL = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), tolerance=_TOLERANCE, tip=_TIP_FRAME)
 _GOAL_SET = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), alternatives=(_POSE, _POSE))
+_OFFSET = m.Offset(distance=0.1, direction=(0.0, 0.0, 1.0), frame="base")
+_WITH_WAYS = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), approach=_OFFSET, retreat=_OFFSET)
+_SEGMENTS = (
+    m.Move(kind="move", goal=_WITH_WAYS, name="pick"),
+    m.Attach(kind="attach", object="part", touch_links=("finger",), name="grasp"),
+    m.Wait(kind="wait", duration=0.5, name="settle"),
+    m.SpeedChange(kind="speed", velocity_scale=0.5, acceleration_scale=0.25, name="slow"),
+    m.Detach(kind="detach", object="part", name="drop"),
+)
+_PROGRAM = m.ProgramRequest(
+    segments=_SEGMENTS,
+    start=(0.0, 0.0),
+    request_id="weld-1",
+    timeout=5.0,
+    max_attempts=10,
+    velocity_scale=0.5,
+    acceleration_scale=0.25,
+    margin=0.01,
+    self_margin=0.02,
+    seed=7,
+    publish=False,
+)
+_PLANNED_SEGMENT = m.PlannedSegment(action="move", name="pick", begin=0.0, end=1.25)
 _ALONG_CURVE = {
     "speed": 0.1,
     "acceleration": 0.5,
@@ -174,6 +197,11 @@ EXAMPLES: tuple[Message, ...] = (
     _POSE_GOAL,
     _GOAL_SET,
     _FREE_GOAL,
+    _WITH_WAYS,
+    _OFFSET,
+    *_SEGMENTS,
+    _PROGRAM,
+    _PLANNED_SEGMENT,
     _LINE,
     _ARC_VIA,
     _ARC_AROUND,
@@ -216,6 +244,7 @@ EXAMPLES: tuple[Message, ...] = (
         trajectory=_TRAJECTORY,
         tip=_POSE,
         tool=_TOOL_MOTION,
+        segments=(_PLANNED_SEGMENT,),
         goal_deviation=(0.0, 0.0, 1.5, 0.0, 0.0, -0.01),
         selected_goal_index=1,
         clearance=0.002,

@@ -179,6 +179,8 @@ class Robot(_Twin[zarm.robot.Robot]):
 
     plan = _awaited(zarm.robot.Robot.plan)
     request_plan = _awaited(zarm.robot.Robot.request_plan)
+    plan_program = _awaited(zarm.robot.Robot.plan_program)
+    request_program = _awaited(zarm.robot.Robot.request_program)
     cancel_plan = _awaited(zarm.robot.Robot.cancel_plan)
     settings = _awaited(zarm.robot.Robot.settings)
     fk = _awaited(zarm.robot.Robot.fk)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, TypedDict, Unpack
+from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 
 from zarm.connection import ANSWER_SECONDS
 from zarm.kinematics import Kinematics
 from zarm.values import Goal, goal_of, joints_of, made
 from zarm_contract.errors import Unavailable
+from zarm_contract.key import Query
 from zarm_contract.messages import (
     CancelPlan,
     PathConstraint,
@@ -17,12 +19,16 @@ from zarm_contract.messages import (
     PlannerKind,
     PlannerSettings,
     PlanRequest,
+    ProgramRequest,
+    Segment,
     SettingsChange,
     StartState,
 )
 
 if TYPE_CHECKING:
     from zarm.values import Numbers
+
+Asked = TypeVar("Asked", PlanRequest, ProgramRequest)
 
 LONGEST_PLANNING = 60.0
 """s, the planner's maximum."""
@@ -74,14 +80,32 @@ class Planner(Kinematics):
 
     def request_plan(self, request: PlanRequest) -> Plan:
         """`plan` with a message; it gets a new `request_id` if it has none."""
+        return self._answered(self._keys.plan, request)
+
+    def _answered(self, key: Query[Asked, Plan], request: Asked) -> Plan:
+        """The planner's answer; Ctrl-C ends the planning."""
         named = request.model_copy(update={"request_id": request.request_id or f"plan-{secrets.token_hex(8)}"})
         timeout = (request.timeout or LONGEST_PLANNING) + ANSWER_SECONDS
         try:
-            return self._ask(self._keys.plan, named, timeout=timeout)
+            return self._ask(key, named, timeout=timeout)
         except KeyboardInterrupt:
             with suppress(Unavailable):
                 self.cancel_plan(named.request_id or "")
             raise
+
+    def plan_program(self, segments: Sequence[Segment], /, **options: Unpack[ProgramOptions]) -> Plan:
+        """One verified motion through all segments: `zarm.Move`, `zarm.Wait`, `zarm.Attach`, `zarm.Detach`, `zarm.SpeedChange`.
+
+        `plan.segments` says when each begins. What a program attaches or detaches changes in the scene when the robot gets there.
+        The options mean what they do in `plan`. Raises what `plan` raises; the error names the segment.
+        """
+        fields: dict[str, object] = {**options}
+        fields["start"] = joints_of(options.get("start"), "start")
+        return self.request_program(made(ProgramRequest, segments=tuple(segments), **fields))
+
+    def request_program(self, request: ProgramRequest) -> Plan:
+        """`plan_program` with a message; it gets a new `request_id` if it has none."""
+        return self._answered(self._keys.program, request)
 
     def cancel_plan(self, request_id: str, *, timeout: float = ANSWER_SECONDS) -> bool:
         """Cancel a planning request by its `request_id`, even before it arrives. Returns whether it was running."""
@@ -93,6 +117,21 @@ class Planner(Kinematics):
         if not changes:
             return self.connection.read(self._keys.settings)
         return self._ask(self._keys.settings, made(SettingsChange, **changes))
+
+
+class ProgramOptions(TypedDict, total=False):
+    """Options of a program; see `PlanOptions`."""
+
+    start: Numbers | None
+    request_id: str | None
+    timeout: float | None
+    max_attempts: int | None
+    velocity_scale: float | None
+    acceleration_scale: float | None
+    margin: float | None
+    self_margin: float | None
+    seed: int
+    publish: bool
 
 
 def plan_request(goal: Goal, **options: Unpack[PlanOptions]) -> PlanRequest:

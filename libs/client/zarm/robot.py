@@ -64,6 +64,8 @@ class Robot(Calls):
 
     plan = _short(_planner, Planner.plan)
     request_plan = _short(_planner, Planner.request_plan)
+    plan_program = _short(_planner, Planner.plan_program)
+    request_program = _short(_planner, Planner.request_program)
     cancel_plan = _short(_planner, Planner.cancel_plan)
     settings = _short(_planner, Planner.settings)
     fk = _short(_planner, Planner.fk)

@@ -122,6 +122,9 @@ class PoseGoal(_Checked, messages.PoseGoal):
     the `tolerance`, {"theta_x": 0.1, "z": 0.01} in rad and m. With a `radius` (m) the tip may be anywhere in a ball.
     `tip` is the frame to bring there, by default the robot's tip: the name of a link or of an attached object, or a `TipFrame`.
 
+    The last of the way there is straight along `approach`, the way on straight along `retreat`: `zarm.Offset(0.1, (0, 0, 1))` is 0.1 m
+    along the tool's z.
+
     `plan.tip` says which pose was chosen, and `plan.goal_deviation` how far from the goal's it is.
     """
 
@@ -134,6 +137,8 @@ class PoseGoal(_Checked, messages.PoseGoal):
         radius: float | None = None,
         frame: Literal["base", "tool"] = "tool",
         tip: str | messages.TipFrame | None = None,
+        approach: messages.Offset | None = None,
+        retreat: messages.Offset | None = None,
     ) -> None:
         loose: set[str] = set(free)
         if not isinstance(pose, messages.Pose):
@@ -144,6 +149,8 @@ class PoseGoal(_Checked, messages.PoseGoal):
             orientation=pose.orientation,
             tolerance=tolerance_of(loose, tolerance or {}, radius, frame),
             tip=made(messages.TipFrame, link=tip) if isinstance(tip, str) else tip,
+            approach=approach,
+            retreat=retreat,
         )
 
 
@@ -282,6 +289,50 @@ class Path(_Checked, messages.PathGoal):
             blend=blend,
             **_along_curve(**options),
         )
+
+
+class Offset(_Checked, messages.Offset):
+    """A straight way of `distance` (m) along `direction` in the frame of the tip, `tool`, or the `base`."""
+
+    def __init__(self, distance: float, direction: Numbers, frame: Literal["base", "tool"] = "tool") -> None:
+        super().__init__(distance=distance, direction=numbers(direction, "direction"), frame=frame)
+
+
+class Move(_Checked, messages.Move):
+    """A segment of a program: a motion to any goal that `robot.plan` takes. `name` says in answers which segment it is."""
+
+    def __init__(self, goal: Goal, *, name: str | None = None) -> None:
+        super().__init__(kind="move", goal=goal_of(goal), name=name)
+
+
+class Wait(_Checked, messages.Wait):
+    """A segment of a program: stand still for `duration` s."""
+
+    def __init__(self, duration: float, *, name: str | None = None) -> None:
+        super().__init__(kind="wait", duration=duration, name=name)
+
+
+class SpeedChange(_Checked, messages.SpeedChange):
+    """A segment of a program: from here on use these shares of the joints' limits."""
+
+    def __init__(
+        self, velocity_scale: float, acceleration_scale: float | None = None, *, name: str | None = None
+    ) -> None:
+        super().__init__(kind="speed", velocity_scale=velocity_scale, acceleration_scale=acceleration_scale, name=name)
+
+
+class Attach(_Checked, messages.Attach):
+    """A segment of a program: attach an object of the scene to the tip; it may touch `touch_links`."""
+
+    def __init__(self, object: str, touch_links: Iterable[str] = (), *, name: str | None = None) -> None:  # noqa: A002
+        super().__init__(kind="attach", object=object, touch_links=tuple(touch_links), name=name)
+
+
+class Detach(_Checked, messages.Detach):
+    """A segment of a program: detach an object and leave it where it is."""
+
+    def __init__(self, object: str, *, name: str | None = None) -> None:  # noqa: A002
+        super().__init__(kind="detach", object=object, name=name)
 
 
 class StartState(_Checked, messages.StartState):

@@ -25,6 +25,7 @@ MODULES = {
     "health": "status",
     "plan": "planning",
     "execute": "execution",
+    "program": "program",
     "cancel": "execution",
     "speed": "execution",
     "strategy": "execution",

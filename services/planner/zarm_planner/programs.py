@@ -118,7 +118,7 @@ def plan_program(
                     done.add(TimedTrajectory.standing(done.q, CHANGE_S))
         except ZarmError as error:
             raise _of_segment(error, number, segment) from error
-        planned.append(PlannedSegment(kind=segment.kind, name=segment.name, begin=begin, end=done.time))
+        planned.append(PlannedSegment(action=segment.kind, name=segment.name, begin=begin, end=done.time))
     if not done.parts:
         raise InvalidRequest("no segment of the program moves the robot; add one of kind move", field="segments")
     return PlannedProgram(_whole(done), tuple(planned), tuple(changes))

@@ -307,9 +307,11 @@ class TooNear(Message):
 
 
 class PlannedSegment(Message):
-    """A segment of a program: when it begins and ends (s). What is attached or detached changes at its beginning."""
+    """A segment of a program: what it does, and when it begins and ends (s). What is attached or detached changes at its
+    beginning.
+    """
 
-    kind: Literal["move", "wait", "speed", "attach", "detach"]
+    action: Literal["move", "wait", "speed", "attach", "detach"]
     name: Name | None = None
     begin: NonNegative
     end: NonNegative

@@ -1,0 +1,244 @@
+"""Programs: segments planned one after the other, each so that those after it can be followed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from support.planner.second_opinion import link_pose
+from zarm_contract.errors import InvalidRequest, PlanningFailed
+from zarm_contract.messages import (
+    AddObjects,
+    Attach,
+    Cuboid,
+    Detach,
+    JointGoal,
+    LineGoal,
+    Move,
+    Offset,
+    Plan,
+    PlanRequest,
+    PoseGoal,
+    PoseTolerance,
+    ProgramRequest,
+    SceneEdit,
+    Segment,
+    SpeedChange,
+    Wait,
+    WaypointsGoal,
+)
+from zarm_contract.robot import load_robot
+from zarm_executor.checks import executable
+from zarm_geometry.frames import pose_of
+from zarm_geometry.meshes import Meshes
+from zarm_geometry.robot_model import RobotModel
+from zarm_planner.handlers import ChangeAt, Handlers
+from zarm_planner.scene.store import SceneStore
+
+ROBOT = load_robot("doosan_m1013")
+MODEL = RobotModel.of(ROBOT)
+HOME = ROBOT.descriptor.home
+TIP = MODEL.fk_tip(np.array(HOME))
+DOWN = PoseTolerance(orientation=(0.0, 0.0, "free"))
+
+
+@pytest.fixture
+def handlers(tmp_path) -> Handlers:  # type: ignore[no-untyped-def]
+    store = SceneStore(tmp_path, Meshes(()), ROBOT.urdf.links)
+    return Handlers(MODEL, "arm", store, lambda: np.array(HOME))
+
+
+def at(*shift: float) -> tuple[float, float, float]:
+    x, y, z = (TIP[:3, 3] + shift).tolist()
+    return x, y, z
+
+
+def pose_goal(*shift: float, **fields: object) -> PoseGoal:
+    return PoseGoal(kind="pose", position=at(*shift), orientation=pose_of(TIP).orientation, **fields)  # type: ignore[arg-type]
+
+
+def line(*shift: float) -> LineGoal:
+    return LineGoal(kind="line", position=at(*shift))
+
+
+def move(goal: object, name: str | None = None) -> Move:
+    return Move(kind="move", goal=goal, name=name)  # type: ignore[arg-type]
+
+
+def planned(handlers: Handlers, *segments: Segment) -> tuple[Plan, tuple[ChangeAt, ...]]:
+    return handlers.program(ProgramRequest(segments=segments))
+
+
+def joints_at(plan: Plan, time: float) -> tuple[float, ...]:
+    trajectory = executable(plan.trajectory, ROBOT)
+    return tuple(trajectory.positions(np.array((time,)))[0].tolist())
+
+
+def tip_at(plan: Plan, time: float) -> np.ndarray:
+    return link_pose(ROBOT, ROBOT.descriptor.tip_link, joints_at(plan, time))
+
+
+def test_segments_follow_each_other_in_one_motion(handlers: Handlers) -> None:
+    plan, changes = planned(
+        handlers,
+        move(pose_goal(0.0, 0.3, 0.0), "there"),
+        move(line(0.0, 0.3, -0.2)),
+        Wait(kind="wait", duration=1.5),
+        SpeedChange(kind="speed", velocity_scale=0.3),
+        move(JointGoal(kind="joints", position=HOME), "back"),
+    )
+    assert changes == ()
+    assert [segment.action for segment in plan.segments] == ["move", "move", "wait", "speed", "move"]
+    assert [segment.begin for segment in plan.segments[1:]] == [segment.end for segment in plan.segments[:-1]]
+    assert plan.segments[-1].end == pytest.approx(plan.trajectory.duration)
+    assert plan.segments[2].end - plan.segments[2].begin == pytest.approx(1.5)
+    assert tip_at(plan, plan.segments[0].end)[:3, 3] == pytest.approx(at(0.0, 0.3, 0.0), abs=1e-5)
+    assert tip_at(plan, plan.segments[1].end)[:3, 3] == pytest.approx(at(0.0, 0.3, -0.2), abs=1e-5)
+    assert joints_at(plan, plan.trajectory.duration) == pytest.approx(HOME, abs=1e-5)
+    assert plan.segments[0].name == "there"
+
+
+def test_speed_change_slows_what_comes_after_it(handlers: Handlers) -> None:
+    there, back = JointGoal(kind="joints", position=(0.8, *HOME[1:])), JointGoal(kind="joints", position=HOME)
+    slow = SpeedChange(kind="speed", velocity_scale=0.2, acceleration_scale=0.5)
+    plan, _ = planned(handlers, move(there), slow, move(back))
+    first, _, last = (segment.end - segment.begin for segment in plan.segments)
+    assert last > 2 * first
+
+
+def test_branch_is_chosen_so_that_the_line_after_it_can_be_followed(handlers: Handlers) -> None:
+    """Many configurations of the free turn reach the pose, and from few of them the line reaches its end."""
+    start = pose_goal(-0.1, 0.2, 0.0, tolerance=PoseTolerance(orientation=("free", "free", "free")))
+    plan, _ = planned(handlers, move(start), move(line(0.25, 0.2, 0.0)))
+    end = plan.segments[0].end
+    assert tip_at(plan, end)[:3, 3] == pytest.approx(at(-0.1, 0.2, 0.0), abs=1e-5)
+    for share in (0.25, 0.5, 0.75):
+        tip = tip_at(plan, end + share * (plan.trajectory.duration - end))
+        assert tip[1:3, 3] == pytest.approx(at(0.0, 0.2, 0.0)[1:], abs=2e-4)
+
+
+def test_approach_and_retreat_are_straight(handlers: Handlers) -> None:
+    ways = {
+        "approach": Offset(distance=0.1, direction=(0.0, 0.0, 1.0)),
+        "retreat": Offset(distance=0.15, direction=(0.0, 0.0, 2.0), frame="base"),
+    }
+    plan = handlers.plan(PlanRequest(start=HOME, goal=pose_goal(0.1, 0.3, -0.2, tolerance=DOWN, **ways)))
+    trajectory = executable(plan.trajectory, ROBOT)
+    times = np.linspace(0.0, trajectory.duration, 3000)
+    tips = MODEL.fk_tip(trajectory.positions(times))
+    pose = at(0.1, 0.3, -0.2)
+    reached = int(np.argmin(np.linalg.norm(tips[:, :3, 3] - pose, axis=1)))
+    assert tips[reached, :3, 3] == pytest.approx(pose, abs=1e-4)
+    axis = TIP[:3, 2]
+    near = [tip[:3, 3] - pose for tip in tips[:reached] if np.linalg.norm(tip[:3, 3] - pose) < 0.095]
+    assert near
+    for off in near:
+        assert np.linalg.norm(off - (off @ axis) * axis) < 2e-4
+        assert off @ axis < 1e-4
+    assert tips[-1, :3, 3] == pytest.approx(np.array(pose) + (0.0, 0.0, 0.15), abs=1e-5)
+    for tip in tips[reached:]:
+        assert tip[:2, 3] == pytest.approx(pose[:2], abs=2e-4)
+
+
+def put(handlers: Handlers, *objects: Cuboid) -> None:
+    handlers.edit(SceneEdit(edit=AddObjects(op="add", objects=objects)))
+
+
+def test_what_is_attached_goes_along_and_is_left_where_it_is_detached(handlers: Handlers) -> None:
+    part = Cuboid(kind="cuboid", name="part", position=at(0.0, 0.2, -0.3), size=(0.04, 0.04, 0.2))
+    put(handlers, part)
+    before = pose_goal(0.0, 0.2, -0.18)
+    plan, changes = planned(
+        handlers,
+        move(before, "above"),
+        Attach(kind="attach", object="part", touch_links=("link_6",)),
+        move(line(0.0, 0.2, 0.0)),
+        move(pose_goal(0.0, -0.2, 0.0)),
+        Detach(kind="detach", object="part"),
+    )
+    (grasp, attached), (drop, detached) = changes
+    assert attached.name == detached.name == "part"
+    assert joints_at(plan, grasp) == pytest.approx(attached.joints, abs=1e-5)
+    assert drop == pytest.approx(plan.segments[4].begin)
+    for _, change in changes:
+        scene = handlers.edit(SceneEdit(edit=change))
+    (left,) = scene.objects
+    assert left.position == pytest.approx(at(0.0, -0.2, -0.12), abs=1e-3)
+
+
+def test_carried_object_is_kept_from_obstacles(handlers: Handlers) -> None:
+    part = Cuboid(kind="cuboid", name="part", position=at(0.0, 0.2, -0.35), size=(0.04, 0.04, 0.3))
+    wall = Cuboid(kind="cuboid", name="wall", position=at(0.0, 0.0, -0.35), size=(0.6, 0.02, 0.3))
+    put(handlers, part, wall)
+    lower = line(0.0, -0.2, -0.18)
+    above = pose_goal(0.0, 0.2, -0.18)
+    planned(handlers, move(above), move(lower))  # the tool alone passes above the wall
+    with pytest.raises(PlanningFailed, match=r"segment 2, carry: .*wall") as failed:
+        planned(
+            handlers,
+            move(above),
+            Attach(kind="attach", object="part", touch_links=("link_6",)),
+            move(lower, "carry"),
+        )
+    assert failed.value.problem.field == "segments.2"
+    assert failed.value.problem.fraction is not None
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "field", "said"),
+    [
+        (lambda: (Wait(kind="wait", duration=1.0),), InvalidRequest, "segments", "no segment of the program moves"),
+        (
+            lambda: (move(line(0.0, 0.1, 0.0)), move(line(0.0, 0.1, 0.0), "seam")),
+            InvalidRequest,
+            "segments.1.goal.position",
+            "segment 1, seam: the line has no extent",
+        ),
+        (
+            lambda: (move(line(0.0, 0.1, 0.0)), Attach(kind="attach", object="part")),
+            InvalidRequest,
+            "segments.1.name",
+            "no object part",
+        ),
+        (
+            lambda: (move(line(0.0, 0.1, 0.0)), Detach(kind="detach", object="part")),
+            InvalidRequest,
+            "segments.1.name",
+            "does not carry part",
+        ),
+        (
+            lambda: (move(line(0.0, 0.1, 0.0)), move(pose_goal(5.0, 0.0, 0.0), "far")),
+            PlanningFailed,
+            "segments.1.goal",
+            "segment 1, far: .*cannot be reached",
+        ),
+        (
+            lambda: (
+                move(
+                    WaypointsGoal(
+                        kind="waypoints",
+                        through=(pose_goal(0, 0.1, 0, approach=Offset(distance=0.1, direction=(0, 0, 1))),),
+                    )
+                ),
+            ),
+            InvalidRequest,
+            "segments.0.goal.through.0.approach",
+            "no approach or retreat",
+        ),
+    ],
+)
+def test_segment_that_fails_is_named(
+    handlers: Handlers, make: Callable[[], tuple[Segment, ...]], error: type[Exception], field: str, said: str
+) -> None:
+    with pytest.raises(error, match=said) as failed:
+        planned(handlers, *make())
+    assert failed.value.problem.field == field  # type: ignore[attr-defined]
+
+
+def test_approach_that_cannot_be_followed_says_so_without_a_segment(handlers: Handlers) -> None:
+    goal = pose_goal(0.0, 0.3, 0.0, approach=Offset(distance=2.0, direction=(0.0, 0.0, 1.0)))
+    with pytest.raises(PlanningFailed) as failed:
+        handlers.plan(PlanRequest(start=HOME, goal=goal))
+    assert "segment" not in failed.value.problem.message
