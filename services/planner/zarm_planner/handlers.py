@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable, ZarmError
 from zarm_contract.messages import (
-    Attached,
     AttachObject,
     CancelledPlan,
     CancelPlan,
@@ -80,6 +79,8 @@ log = logging.getLogger(__name__)
 
 ChangeAt = tuple[float, SceneChange]
 """What a program attaches or detaches at which time (s)."""
+_CARRIERS = 8
+"""Robots with different loads that are kept ready; to make one ready takes some 50 ms."""
 _BATCH_TIMEOUT = 60.0
 """Time limit (s) for a batch of kinematics or checks."""
 
@@ -113,8 +114,8 @@ class Handlers:
             partial(Limits.of, model.robot)
         )  # by the scales of velocity and acceleration
         self.moved = MovedObjects(lambda: store.scene)
-        # The robot with attached objects and ignored links, cached by both.
-        self._carrier: tuple[tuple[tuple[Attached, ...], tuple[str, ...]], RobotModel] = ((), ()), model
+        # The robot with what it carries and the links that are ignored, for the latest of those.
+        self._carriers = lru_cache(maxsize=_CARRIERS)(model.with_attached)
         # Scenes ready for planning with their objects in place: those of the latest plan and of the latest edit.
         self._ready: _Ready | None = None
         self._edited: _Ready | None = None
@@ -411,13 +412,8 @@ class Handlers:
         return _Ready(objects, prepared, prepared)
 
     def _with(self, scene: Scene) -> RobotModel:
-        """The robot with what it carries in a scene, built once per change of that."""
-        kept = scene.attached, scene.ignored_links
-        carried, carrier = self._carrier
-        if carried != kept:
-            carrier = self._model.with_attached(*kept)
-            self._carrier = kept, carrier
-        return carrier
+        """The robot with what it carries in a scene."""
+        return self._carriers(scene.attached, scene.ignored_links)
 
     def _measured_or_home(self) -> Array:
         try:

