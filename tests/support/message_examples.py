@@ -320,6 +320,7 @@ EXAMPLES: tuple[Message, ...] = (
         problem=_PROBLEM,
         hold=_HOLD,
         tick_lateness=0.0003,
+        segment=2,
     ),
     m.GoalTrajectory(
         goal_id="goal-1", number=3, start=0.4, trajectory=_TRAJECTORY, scene_revision=_REVISION, replan=True, tip=_POSE

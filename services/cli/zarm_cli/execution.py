@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -37,7 +37,7 @@ from zarm_cli.goals import (
 from zarm_cli.output import SCENE_CHANGED, err, facts, held_by, out, print_json, reached, share_text
 from zarm_cli.planning import VelocityScale, read_plan, request_plan
 from zarm_contract.errors import ZarmError, from_problem
-from zarm_contract.messages import ExecuteRequest, ExecutorState, GoalState, Speed
+from zarm_contract.messages import ExecuteRequest, ExecutorState, GoalState, PlannedSegment, Speed
 from zarm_runtime.session import DEFAULT_ENDPOINT
 
 
@@ -121,8 +121,17 @@ def demand_success(last: GoalState) -> None:
         raise from_problem(last.problem)
 
 
-def run_goal(robot: Robot, request: ExecuteRequest, *, preempt: bool = False, replan: bool = False) -> GoalState:
-    """Execute with a progress bar and return the goal's last state; Ctrl-C cancels and waits until the robot stands."""
+def run_goal(
+    robot: Robot,
+    request: ExecuteRequest,
+    *,
+    preempt: bool = False,
+    replan: bool = False,
+    segments: Sequence[PlannedSegment] = (),
+) -> GoalState:
+    """Execute with a progress bar and return the goal's last state; Ctrl-C cancels and waits until the robot stands. The bar names
+    those of a program's `segments`.
+    """
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn  # not needed for a stop
 
     last: GoalState | None = None
@@ -142,7 +151,9 @@ def run_goal(robot: Robot, request: ExecuteRequest, *, preempt: bool = False, re
             last = state
             bar.update(
                 task,
-                description=state.status,
+                description=state.status
+                if state.segment is None
+                else f"{state.status} {_called(segments, state.segment)}",
                 completed=state.progress,
                 time=reached(state),
             )
@@ -156,6 +167,13 @@ def run_goal(robot: Robot, request: ExecuteRequest, *, preempt: bool = False, re
             if last is None or not last.done:
                 raise
             return last
+
+
+def _called(segments: Sequence[PlannedSegment], number: int) -> str:
+    """A segment by its name or what it does."""
+    if number >= len(segments):
+        return f"segment {number}"
+    return segments[number].name or segments[number].action
 
 
 def _warn_of_edits(robot: Robot, goal_id: str) -> None:

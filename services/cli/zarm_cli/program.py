@@ -64,7 +64,7 @@ def run(file: File, as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT
     document, request = _read(file)
     with connected(connect, name) as robot:
         plan = _planned(robot, document, request)
-        last = run_goal(robot, ExecuteRequest(plan_id=plan.plan_id))
+        last = run_goal(robot, ExecuteRequest(plan_id=plan.plan_id), segments=plan.segments)
     if as_json:
         print_json(last)
     demand_success(last)

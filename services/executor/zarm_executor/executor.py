@@ -93,8 +93,9 @@ class Executor:
                 monitor,
                 scene,
                 verified=chosen.scene_revision,
-                replan=request.replan,
+                replan=request.replan and not chosen.along_curve,
                 tip=chosen.tip,
+                segments=chosen.segments,
             )
             turn.start(goal)
         RateBounds.of(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass, replace
 
 from zarm_contract.errors import Problem
@@ -39,7 +40,7 @@ class Goal:
     `scene` is the scene revision in which the goal began, or in which the newest chunk of a stream arrived; None if
     none was known. `verified` is the revision in which the trajectory was verified, or None; `number` counts its
     trajectories. If `replan` is set, the servo may replace the trajectory, also by one to other joints if the goal is
-    the pose `tip`. `monitor` watches the motion.
+    the pose `tip`. `segments` are the times (s) at which those of a program begin. `monitor` watches the motion.
     """
 
     goal_id: str
@@ -52,6 +53,7 @@ class Goal:
     number: int = 1
     replan: bool = False
     tip: Pose | None = None
+    segments: tuple[float, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -101,6 +103,7 @@ class Goal:
             joint_command=tuple(progress.command.tolist()),
             problem=outcome.problem if outcome else None,
             hold=hold_of(state),
+            segment=max(bisect_right(self.segments, progress.time) - 1, 0) if self.segments else None,
         )
 
     def followed(self, joints: tuple[str, ...]) -> GoalTrajectory:

@@ -21,13 +21,16 @@ PUBLICATION_PATIENCE = 0.5
 class Chosen:
     """The plan to execute, or a trajectory without a plan, which need not claim a scene.
 
-    `tip` is the goal of the plan, if that is a pose.
+    `tip` is the goal of the plan, if that is a pose. `segments` are the times (s) at which the segments of a program
+    begin. A plan `along_curve`, on which the tip keeps to lines, arcs or the ways of a program, must not be replanned.
     """
 
     plan_id: str | None
     trajectory: Trajectory
     scene_revision: SceneRevision | None
     tip: Pose | None = None
+    segments: tuple[float, ...] = ()
+    along_curve: bool = False
 
     @property
     def name(self) -> str:
@@ -72,7 +75,9 @@ class Plans:
                 code="stale_plan",
             )
         tip = None if plan.selected_goal_index is None else plan.tip
-        return Chosen(plan.plan_id, plan.trajectory, plan.scene_revision, tip)
+        segments = tuple(segment.begin for segment in plan.segments)
+        along_curve = plan.tool is not None or bool(segments)
+        return Chosen(plan.plan_id, plan.trajectory, plan.scene_revision, tip, segments, along_curve)
 
     def _last(self) -> Plan:
         newest = self._ask()

@@ -214,7 +214,7 @@ class Handlers:
             plan, _ = self.program(ProgramRequest.model_construct(segments=(segment,), **fields))
         except ZarmError as error:
             raise of_only_segment(error) from error
-        return plan.model_copy(update={"segments": ()})
+        return plan
 
     def program(self, request: ProgramRequest) -> tuple[Plan, tuple[ChangeAt, ...]]:
         """A program as one motion, and what it attaches and detaches. Raises a ZarmError that names the segment."""

@@ -28,7 +28,8 @@ class ExecuteRequest(Message):
     goal then does not start, whichever of the two messages arrives first.
 
     With `replan` the servo plans again to the end of the trajectory if an object blocks it. The new trajectory
-    replaces the old one while the robot moves; if there is no time for that, the robot stops first.
+    replaces the old one while the robot moves; if there is no time for that, the robot stops first. A line, an arc, a path or a program
+    is not replanned: the robot brakes on its way, and goes on along it once that is free.
     """
 
     plan_id: Name | None = None
@@ -122,7 +123,7 @@ class GoalState(Message):
     `duration` (s) is planned at full speed; at a speed scale of 0.5 the motion takes twice as long. `progress` is the share of
     it that has been reached, 0 to 1. For a stream, `duration` ends with the newest chunk, and `progress * duration` is the time
     of the stream. `hold` says why the robot brakes or waits without a command. While it moves, `tick_lateness` (s) is how late the
-    latest tick of the control loop was since the state before.
+    latest tick of the control loop was since the state before. `segment` is the index of a program's segment, see `Plan.segments`.
     """
 
     goal_id: Name
@@ -135,6 +136,7 @@ class GoalState(Message):
     problem: Problem | None = None
     hold: Hold | None = None
     tick_lateness: NonNegative | None = None
+    segment: Annotated[int, Field(ge=0)] | None = None
 
     @property
     def done(self) -> bool:
