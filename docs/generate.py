@@ -30,6 +30,7 @@ from zarm_contract.messages import (
     executor,
     motion,
     planner,
+    program,
     scene,
     service,
     servo,
@@ -43,6 +44,7 @@ from zarm_contract.robot import (
     ExecutionSettings,
     RobotDescriptor,
     StrategyParams,
+    ToolSpeeds,
 )
 from zarm_contract.roles import EVERYONE, SERVICE_ROLES
 from zarm_executor.transitions import MODES, TRANSITIONS
@@ -119,6 +121,7 @@ def messages() -> Iterator[str]:
     )
     modules: dict[str, ModuleType] = {
         "Planning": planner,
+        "Programs": program,
         "The scene": scene,
         "Execution": executor,
         "The servo": servo,
@@ -163,6 +166,7 @@ def _attribute_docs(model: type[BaseModel]) -> dict[str, str]:
 
 _SECTIONS = {
     "CSpace": "cspace",
+    "ToolSpeeds": "tool",
     "ExecutionSettings": "execution",
     "StrategyParams": "strategy_params",
     "CollisionSphere": "collision sphere",
@@ -345,6 +349,7 @@ def robot() -> Iterator[str]:
     )
     parts = (
         CSpace,
+        ToolSpeeds,
         ExecutionSettings,
         StrategyParams,
         CollisionSphere,

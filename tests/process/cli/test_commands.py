@@ -332,3 +332,48 @@ def test_a_robot_that_is_not_there_is_unavailable(up: Up) -> None:
     result = zarm("status", "--name", "nobody", ZARM_CONNECT=up.endpoint)
     assert result.returncode == 3
     assert "does not answer" in result.stdout
+
+
+# -- programs --
+
+PROGRAM = """
+segments:
+  - kind: move
+    name: over
+    goal: {{kind: pose, position: [{x}, {y}, {z}], tolerance: {{orientation: [free, free, free]}}}}
+  - {{kind: wait, duration: 0.2}}
+  - kind: move
+    name: down
+    goal: {{kind: line, position: [{x}, {y}, {below}], speed: {speed}}}
+"""
+
+
+def program(folder: Path, up: Up, **values: object) -> str:
+    x, y, z = data(up, "fk", "--joints", vector(HOME))["poses"][0]["position"]
+    file = folder / "down.yaml"
+    asked = {"x": x, "y": y + 0.1, "z": z, "below": z - 0.05, "speed": 0.2, **values}
+    file.write_text(PROGRAM.format(**asked))
+    return str(file)
+
+
+def test_program_in_a_file_is_checked_and_run_as_one_goal(up: Up, empty_scene: None, tmp_path: Path) -> None:
+    file = program(tmp_path, up)
+    checked = data(up, "program", "check", file)
+    assert [(one["action"], one.get("name")) for one in checked["segments"]] == [
+        ("move", "over"),
+        ("wait", None),
+        ("move", "down"),
+    ]
+    table = done(up, "program", "check", file, "--start", vector(HOME))
+    assert "over" in table
+    assert "down" in table
+    assert data(up, "program", "run", file)["status"] == "succeeded"
+
+
+def test_fault_in_a_program_is_said_with_its_line(up: Up, empty_scene: None, tmp_path: Path) -> None:
+    assert "down.yaml:9: " in refused(up, "program", "check", program(tmp_path, up, speed=-1))
+    far = refused(up, "program", "check", program(tmp_path, up, below=-9.0))
+    assert "down.yaml:7: " in far
+    assert "segment 2, down: " in far
+    assert "% of its way" in far
+    assert "cannot read" in refused(up, "program", "run", str(tmp_path / "none.yaml"))

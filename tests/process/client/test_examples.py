@@ -27,6 +27,9 @@ SAYS = {
     "08_speed_and_pause": "paused",
     "09_two_robots": "second: succeeded",
     "10_stream": "followed the target for 4 s, at most 0.3",
+    "11_weld_seam": "succeeded",
+    "12_pick_from_bin": "the part stands at 0.5",
+    "13_wipe_table": "% of the way\nsucceeded",
 }
 """What is in the output of each, besides success."""
 OF_ITS_OWN = "09_two_robots"
