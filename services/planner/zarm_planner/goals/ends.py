@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 _GOALS = 16
 """Most solutions considered for a pose."""
-_REGION_GOALS = 8
+_REGION_GOALS = 6
 """Most solutions considered for a pose with tolerance; each is the best of its surroundings."""
 _SET_GOALS = 256
 """Most solutions considered for a goal set, equally many for each pose."""

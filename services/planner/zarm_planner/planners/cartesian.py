@@ -21,7 +21,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 Array = NDArray[np.float64]
 
 _NAME = "cartesian"
-_REFINEMENTS = 4
+_REFINEMENTS = 6
 """How often the stations may be doubled."""
 _ATTEMPTS = 10
 """Most attempts to find another way to use the freedom."""
