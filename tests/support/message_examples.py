@@ -152,6 +152,7 @@ _TARGETS = (
         orientation=(0.0, 0.6, 0.0, 0.8),
         linear=(0.1, 0.0, 0.0),
         angular=(0.0, 0.0, 0.2),
+        tolerance=_BALL,
     ),
     m.TwistTarget(kind="twist", frame="tool", linear=(0.1, 0.0, 0.0), angular=(0.0, 0.0, 0.2)),
     m.JointSpeedTarget(kind="joint_speed", velocity=(0.1, -0.2)),

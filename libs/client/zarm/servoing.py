@@ -16,6 +16,7 @@ from zarm_contract.messages import (
     JointSpeedTarget,
     JointTarget,
     Pose,
+    PoseGoal,
     PoseTarget,
     ServoEnd,
     ServoSession,
@@ -100,14 +101,18 @@ class _Session:
 class Tracking(_Session):
     """The robot follows a pose of its tip, or joint positions; `Robot.track` makes it."""
 
-    def to(self, goal: Pose | Numbers, *, linear: Numbers | None = None, angular: Numbers | None = None) -> None:
-        """Set the target: a `zarm.Pose` of the tip in the base frame, or joint positions (rad).
+    def to(
+        self, goal: Pose | PoseGoal | Numbers, *, linear: Numbers | None = None, angular: Numbers | None = None
+    ) -> None:
+        """Set the target: a `zarm.Pose` of the tip in the base frame, a `zarm.PoseGoal` with freedom, or joint positions (rad).
 
         Call it repeatedly, at least 20 times a second: the robot brakes if the target is older than 0.1 s. `linear`
         (m/s) and `angular` (rad/s) are the velocity of a pose in the base frame, by default estimated from successive
         poses. Raises the problem with which the session has ended, and Unavailable if it has ended without one.
         """
-        if isinstance(goal, Pose):
+        if isinstance(goal, PoseGoal) and (goal.alternatives or goal.tip or goal.approach or goal.retreat):
+            raise InvalidRequest("a live target is one pose of the tip, with a tolerance at most", field="goal")
+        if isinstance(goal, Pose | PoseGoal):
             self._send(
                 lambda: PoseTarget(
                     kind="pose",
@@ -116,6 +121,7 @@ class Tracking(_Session):
                     orientation=goal.orientation,
                     linear=_vector(linear, "linear"),
                     angular=_vector(angular, "angular"),
+                    tolerance=goal.tolerance if isinstance(goal, PoseGoal) else None,
                 )
             )
         else:
@@ -123,7 +129,7 @@ class Tracking(_Session):
 
     def reach(
         self,
-        goal: Pose | Numbers,
+        goal: Pose | PoseGoal | Numbers,
         *,
         timeout: float,
         on_progress: Callable[[ServoSession], object] | None = None,

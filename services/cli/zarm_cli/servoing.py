@@ -16,12 +16,21 @@ from rich.table import Table
 
 from zarm.robot import Robot
 from zarm.servoing import PERIOD, Jogging, limited
-from zarm.values import Pose
-from zarm_cli.client import SIGNALS, AsJson, Connect, Name, connected
-from zarm_cli.goals import JointsGoal, To, typed_goal
+from zarm_cli.client import SIGNALS, AsJson, Connect, Name, connected, message
+from zarm_cli.goals import (
+    Free,
+    Freedom,
+    JointsGoal,
+    To,
+    Tolerance,
+    ToleranceFrame,
+    full_pose,
+    typed_freedom,
+    typed_goal,
+)
 from zarm_cli.output import err, facts, out, print_json
 from zarm_cli.planning import VelocityScale
-from zarm_contract.messages import ServoSession
+from zarm_contract.messages import PoseGoal, ServoSession
 from zarm_runtime.session import DEFAULT_ENDPOINT
 
 HOLD = 0.6
@@ -145,6 +154,9 @@ def jog(
 
 def track(
     to: To = None,
+    free: Free = None,
+    tolerance: Tolerance = None,
+    tolerance_frame: ToleranceFrame = None,
     joints_goal: JointsGoal = None,
     timeout: Annotated[float, typer.Option(help="Give up after this time (s).")] = 30.0,
     margin: Margin = 0.01,
@@ -155,11 +167,12 @@ def track(
     name: Name = None,
 ) -> None:
     """Move the robot straight to a pose or joint positions, or along a global plan around obstacles."""
-    typed = typed_goal(to, joints_goal, False)
+    freedom = typed_freedom(free, tolerance, tolerance_frame, None)
+    typed = typed_goal(to, joints_goal, False, freedom)
     if len(typed.poses) > 1:
         raise typer.BadParameter("give one pose", param_hint="--to")
     with connected(connect, name) as robot:
-        goal = typed.joints if typed.joints is not None else _pose(robot, typed.poses[0])
+        goal = typed.joints if typed.joints is not None else _target(robot, typed.poses[0], freedom)
         scale = 1.0 if velocity_scale is None else velocity_scale
         shown = Shown()
         with robot.track(margin=margin, velocity_scale=scale, take_over=take_over) as tracking:
@@ -180,8 +193,9 @@ def track(
         out.print(f"reached to {1e3 * (last.position_error or 0.0):.2f} mm and {last.orientation_error or 0.0:.4f} rad")
 
 
-def _pose(robot: Robot, values: list[float]) -> Pose:
-    return Pose(values[:3], values[3:] if len(values) > 3 else robot.tip().orientation)
+def _target(robot: Robot, values: list[float], freedom: Freedom) -> PoseGoal:
+    pose = full_pose(robot, values, oriented=freedom.needs_orientation)
+    return message(PoseGoal, kind="pose", **pose, **freedom.fields)
 
 
 def _display(keys: Keys, state: ServoSession | None) -> Table:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from support.examples import examples
 from support.tiers import sampled
-from zarm_contract.messages import Cuboid, SceneObject, Sphere
+from zarm_contract.messages import Cuboid, PoseTolerance, SceneObject, Sphere
 from zarm_contract.robot import load_robot
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.motion_check import MotionCheck
@@ -227,3 +227,42 @@ def test_whatever_jumps_and_wherever_it_leads_limits_and_margin_are_kept(seed: i
     session.follow(None, 1.3)
     session.assert_sound()
     assert np.abs(session.states[-1][1]).max() < 1e-9
+
+
+# -- targets with freedom --
+
+
+def test_only_what_is_not_free_is_corrected() -> None:
+    """A target with a free turn is reached without that turn, and one whose position alone counts without any."""
+    turned = TIP.copy()
+    angle = 0.6
+    turn = np.array(((np.cos(angle), -np.sin(angle), 0.0), (np.sin(angle), np.cos(angle), 0.0), (0.0, 0.0, 1.0)))
+    turned[:3, :3] = TIP[:3, :3] @ turn
+    turned[:3, 3] += (0.0, 0.05, 0.0)
+    for tolerance in (
+        PoseTolerance(orientation=(0.0, 0.0, "free")),
+        PoseTolerance(orientation=("free", "free", "free")),
+    ):
+        session = Session()
+        step = session.follow(PoseTarget(turned, tolerance=tolerance), 3.0)
+        tip = MODEL.fk_tip(step.state[0])
+        assert tip[:3, 3] == pytest.approx(turned[:3, 3], abs=1e-3)
+        assert tip[:3, 2] == pytest.approx(TIP[:3, 2], abs=0.2)
+        session.assert_sound()
+    free, held = Session(), Session()
+    free.follow(PoseTarget(turned, tolerance=PoseTolerance(orientation=(0.0, 0.0, "free"))), 3.0)
+    held.follow(PoseTarget(turned), 3.0)
+    assert abs(held.states[-1][0][5] - START[5]) > 3 * abs(free.states[-1][0][5] - START[5])
+
+
+def test_tip_that_is_within_the_tolerance_stays_where_it_is() -> None:
+    aside = TIP.copy()
+    aside[:3, 3] += (0.0, 0.02, 0.0)
+    session = Session()
+    ball = PoseTolerance(orientation=("free", "free", "free"), radius=0.03)
+    session.follow(PoseTarget(aside, tolerance=ball), 1.0)
+    assert session.states[-1][0] == pytest.approx(START, abs=1e-6)
+    aside[:3, 3] += (0.0, 0.05, 0.0)
+    session.follow(PoseTarget(aside, tolerance=ball), 3.0)
+    tip = MODEL.fk_tip(session.states[-1][0])
+    assert np.linalg.norm(tip[:3, 3] - aside[:3, 3]) == pytest.approx(0.03, abs=2e-3)

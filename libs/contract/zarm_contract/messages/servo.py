@@ -10,6 +10,7 @@ from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
 from zarm_contract.messages.executor import Obstruction
 from zarm_contract.messages.motion import Joints, Name, NonNegative, Quaternion, Scale, SequenceNumber, Vector3
+from zarm_contract.messages.planner import PoseTolerance
 from zarm_contract.messages.scene import SceneRevision
 
 Limiting = Literal["free", "slowing", "blocked", "singularity", "joint_limit", "target_stale"]
@@ -59,6 +60,7 @@ class PoseTarget(Message):
     """Bring the tip to a pose in the base frame: `position` (m), `orientation` `[x, y, z, w]`.
 
     `linear` (m/s) and `angular` (rad/s) say how the pose moves, in the base frame; both left out: as from the target before to this one.
+    Within the `tolerance` the tip is there: what is free is not corrected.
     """
 
     kind: Literal["pose"]
@@ -67,6 +69,7 @@ class PoseTarget(Message):
     orientation: Quaternion
     linear: Vector3 | None = None
     angular: Vector3 | None = None
+    tolerance: PoseTolerance | None = None
 
 
 class TwistTarget(Message):

@@ -112,7 +112,13 @@ def _poses(target: PoseTarget, places: Array) -> PoseGoal:
     """A goal set: the orientation of the target at each of these places (N, 3)."""
     turn = pose_of(target.pose).orientation
     first, *others = (Pose(position=tuple(place.tolist()), orientation=turn) for place in places)
-    return PoseGoal(kind="pose", position=first.position, orientation=first.orientation, alternatives=tuple(others))
+    return PoseGoal(
+        kind="pose",
+        position=first.position,
+        orientation=first.orientation,
+        alternatives=tuple(others),
+        tolerance=target.tolerance,
+    )
 
 
 def _nearer(target: PoseTarget | JointTarget, distance: float) -> Iterator[PoseGoal]:

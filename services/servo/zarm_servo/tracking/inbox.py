@@ -133,7 +133,7 @@ class Inbox:
             case m.PoseTarget() as reported:
                 still = (0.0, 0.0, 0.0)
                 velocity = np.array((*(reported.linear or still), *(reported.angular or still)))
-                return PoseTarget(matrix(reported.position, reported.orientation), velocity)
+                return PoseTarget(matrix(reported.position, reported.orientation), velocity, reported.tolerance)
             case m.TwistTarget() as reported:
                 return TwistTarget(np.array((*reported.linear, *reported.angular)), reported.frame)
             case m.JointSpeedTarget() as reported:
@@ -179,7 +179,7 @@ def _moving(before: Target | None, target: PoseTarget, passed: float | None) -> 
     """A pose that goes on as it did from the target before, unless it has jumped."""
     if passed is None or passed > STALE or not isinstance(before, PoseTarget):
         return target
-    moving = PoseTarget.moving(before.pose, target.pose, passed)
+    moving = target.moving(before.pose, passed)
     speeds = np.linalg.norm(moving.velocity[:3]), np.linalg.norm(moving.velocity[3:])
     return target if speeds[0] > _JUMP[0] or speeds[1] > _JUMP[1] else moving
 

@@ -167,7 +167,8 @@ class LocalGoal:
     def _errors(self, wanted: PoseTarget | JointTarget, position: Array) -> tuple[float, float, float]:
         if isinstance(wanted, JointTarget):
             return 0.0, 0.0, float(np.abs(wanted.distance(self._model, position)).max())
-        return (*_between(wanted.pose, self._model.fk_tip(position)), 0.0)
+        error = wanted.error(self._model.fk_tip(position), wanted.pose)
+        return float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])), 0.0
 
     def _ahead(self, plan: GlobalPlan, position: Array) -> Array:
         if self._point is None or self._steps % _LOOKS == 0:
@@ -199,7 +200,7 @@ def _between(a: Array, b: Array) -> tuple[float, float]:
 def _apart(a: PoseTarget | JointTarget, b: PoseTarget | JointTarget, limits: tuple[float, float, float]) -> bool:
     """Whether two targets are further apart than these limits: m, rad, rad of a joint."""
     if isinstance(a, PoseTarget) and isinstance(b, PoseTarget):
-        return bool(np.any(np.greater(_between(a.pose, b.pose), limits[:2])))
+        return a.tolerance != b.tolerance or bool(np.any(np.greater(_between(a.pose, b.pose), limits[:2])))
     if isinstance(a, JointTarget) and isinstance(b, JointTarget):
         return float(np.abs(a.position - b.position).max()) > limits[2]
     return True

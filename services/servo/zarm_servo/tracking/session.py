@@ -36,7 +36,7 @@ from zarm_servo.tracking.inbox import Inbox, ahead
 from zarm_servo.tracking.local_goal import LocalGoal
 from zarm_servo.tracking.session_scene import SessionScene
 from zarm_servo.tracking.streamed_trajectory import StreamedTrajectory
-from zarm_servo.tracking.targets import JointTarget, PoseTarget, Target, rotation_vector
+from zarm_servo.tracking.targets import JointTarget, PoseTarget, Target
 from zarm_servo.world.check import SceneCheck
 from zarm_servo.world.world_monitor import WorldMonitor
 from zarm_trajectory.limits import Limits
@@ -258,10 +258,10 @@ class Session:
             return {"joint_error": float(np.abs(target.distance(self._model, position)).max())}
         if not isinstance(target, PoseTarget):
             return {}
-        tip, pose = self._model.fk_tip(position), target.after(snapshot.age or 0.0)
+        error = target.error(self._model.fk_tip(position), target.after(snapshot.age or 0.0))
         return {
-            "position_error": float(np.linalg.norm(pose[:3, 3] - tip[:3, 3])),
-            "orientation_error": float(np.linalg.norm(rotation_vector(pose[:3, :3] @ tip[:3, :3].T))),
+            "position_error": float(np.linalg.norm(error[:3])),
+            "orientation_error": float(np.linalg.norm(error[3:])),
         }
 
     def _measured_position(self) -> Array:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Self
 
 import numpy as np
 
+from zarm_contract.messages import PoseTolerance
 from zarm_geometry.robot_model import RobotModel
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.turns import whole_turns
@@ -33,17 +34,50 @@ _SLOWEST = 0.1
 @dataclass(frozen=True)
 class PoseTarget:
     """Bring the tip to `pose` (4, 4), which itself moves with the twist `velocity` (6,): m/s, rad/s, both in the base
-    frame.
+    frame. Within the `tolerance` it is there.
     """
 
     pose: Array
     velocity: Array = field(default_factory=lambda: np.zeros(6))
+    tolerance: PoseTolerance | None = None
 
-    @classmethod
-    def moving(cls, before: Array, pose: Array, passed: float) -> Self:
-        """The target that was at `before` (4, 4) `passed` s ago, is at `pose` now, and continues at this twist."""
-        turn = rotation_vector(pose[:3, :3] @ before[:3, :3].T)
-        return cls(pose, np.concatenate((pose[:3, 3] - before[:3, 3], turn)) / passed)
+    def moving(self, before: Array, passed: float) -> Self:
+        """The same target, which was at `before` (4, 4) `passed` s ago, and continues at this twist."""
+        turn = rotation_vector(self.pose[:3, :3] @ before[:3, :3].T)
+        return replace(self, velocity=np.concatenate((self.pose[:3, 3] - before[:3, 3], turn)) / passed)
+
+    def error(self, tip: Array, pose: Array) -> Array:
+        """What a tip (4, 4) is off the target (6,), which is at `pose` (4, 4): m and rad in the base frame, without what
+        the tolerance allows.
+        """
+        error = np.concatenate((pose[:3, 3] - tip[:3, 3], rotation_vector(pose[:3, :3] @ tip[:3, :3].T)))
+        if self.tolerance is None:
+            return error
+        bounds = np.array(self.tolerance.bounds)
+        shift, turn = self._axes(pose)
+        off, turned = shift.T @ error[:3], turn.T @ error[3:]
+        if self.tolerance.radius is None:
+            off -= np.clip(off, -bounds[3:6], bounds[3:6])
+        else:
+            off *= max(0.0, 1.0 - self.tolerance.radius / max(float(np.linalg.norm(off)), 1e-12))
+        turned -= np.clip(turned, -bounds[:3], bounds[:3])
+        return np.concatenate((shift @ off, turn @ turned))
+
+    def held(self, pose: Array) -> Array:
+        """The directions (k, 6) of a twist in the base frame that are not free, with the target at `pose` (4, 4)."""
+        if self.tolerance is None:
+            return np.eye(6)
+        bounds = np.array(self.tolerance.bounds)
+        shift, turn = self._axes(pose)
+        rows = np.zeros((6, 6))
+        rows[:3, :3], rows[3:, 3:] = shift.T, turn.T
+        counts = np.concatenate((np.isfinite(bounds[3:6]) | np.isfinite(bounds[6]), np.isfinite(bounds[:3])))
+        return np.asarray(rows[counts])
+
+    def _axes(self, pose: Array) -> tuple[Array, Array]:
+        """The axes (3, 3) of the components of position and of orientation."""
+        turn = pose[:3, :3]
+        return (turn if self.tolerance is not None and self.tolerance.frame == "tool" else np.eye(3)), turn
 
     def after(self, passed: float) -> Array:
         """Its expected pose (4, 4) `passed` s later."""
@@ -108,8 +142,9 @@ def wish(model: RobotModel, target: Target, age: float, position: Array, speed: 
     if isinstance(target, JointTarget):
         velocity = within_speed(_approach(target.distance(model, position), acceleration), speed)
         return Wish(velocity, np.eye(model.dof), (math.inf, np.zeros(model.dof)))
-    jacobian = model.tip_jacobian(position)
-    u, values, v = np.linalg.svd(jacobian, full_matrices=False)
+    held = target.held(target.after(age)) if isinstance(target, PoseTarget) else np.eye(6)
+    whole = model.tip_jacobian(position)
+    u, values, v = np.linalg.svd(held @ whole, full_matrices=False)
     least = float(values[-1])
     near = min(1.0, least / SINGULAR)
     inverse = (v.T * (values / (values**2 + _DAMPING**2 * (1.0 - near**2)))) @ u.T
@@ -118,13 +153,12 @@ def wish(model: RobotModel, target: Target, age: float, position: Array, speed: 
         twist = np.concatenate((turn @ target.twist[:3], turn @ target.twist[3:]))
         velocity = inverse @ twist
     else:
-        tip, pose = model.fk_tip(position), target.after(age)
-        error = np.concatenate((pose[:3, 3] - tip[:3, 3], rotation_vector(pose[:3, :3] @ tip[:3, :3].T)))
-        velocity = _approach(inverse @ error, acceleration) + inverse @ target.velocity
+        error = held @ target.error(model.fk_tip(position), target.after(age))
+        velocity = _approach(inverse @ error, acceleration) + inverse @ (held @ target.velocity)
     return Wish(
         max(near, _SLOWEST) * within_speed(velocity, speed),
         _inverse_metric(values, v),
-        (least, _change(jacobian, u[:, -1], v[-1])) if least < _WATCHED else (math.inf, np.zeros(model.dof)),
+        (least, _change(whole, held.T @ u[:, -1], v[-1])) if least < _WATCHED else (math.inf, np.zeros(model.dof)),
         near < 1.0,
     )
 
