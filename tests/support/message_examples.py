@@ -88,10 +88,11 @@ _BALL = m.PoseTolerance(orientation=("free", "free", "free"), radius=0.05)
 _TIP_FRAME = m.TipFrame(link="gripper", offset=_POSE)
 _FREE_GOAL = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), tolerance=_TOLERANCE, tip=_TIP_FRAME)
 _GOAL_SET = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), alternatives=(_POSE, _POSE))
-_OFFSET = m.Offset(distance=0.1, direction=(0.0, 0.0, 1.0), frame="base")
+_OFFSET = m.Offset(distance=0.1, direction=(0.0, 0.0, 1.0), frame="base", touch=("part",))
+_TOUCH = m.Touch(objects=("part", "bin"), begin=0.5, end=1.25)
 _WITH_WAYS = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), approach=_OFFSET, retreat=_OFFSET)
 _SEGMENTS = (
-    m.Move(kind="move", goal=_WITH_WAYS, name="pick"),
+    m.Move(kind="move", goal=_WITH_WAYS, name="pick", touch=("bin",)),
     m.Attach(kind="attach", object="part", touch_links=("finger",), name="grasp"),
     m.Wait(kind="wait", duration=0.5, name="settle"),
     m.SpeedChange(kind="speed", velocity_scale=0.5, acceleration_scale=0.25, name="slow"),
@@ -200,6 +201,7 @@ EXAMPLES: tuple[Message, ...] = (
     _FREE_GOAL,
     _WITH_WAYS,
     _OFFSET,
+    _TOUCH,
     *_SEGMENTS,
     _PROGRAM,
     _PLANNED_SEGMENT,
@@ -246,6 +248,7 @@ EXAMPLES: tuple[Message, ...] = (
         tip=_POSE,
         tool=_TOOL_MOTION,
         segments=(_PLANNED_SEGMENT,),
+        touches=(_TOUCH,),
         goal_deviation=(0.0, 0.0, 1.5, 0.0, 0.0, -0.01),
         selected_goal_index=1,
         clearance=0.002,
@@ -324,7 +327,14 @@ EXAMPLES: tuple[Message, ...] = (
         segment=2,
     ),
     m.GoalTrajectory(
-        goal_id="goal-1", number=3, start=0.4, trajectory=_TRAJECTORY, scene_revision=_REVISION, replan=True, tip=_POSE
+        goal_id="goal-1",
+        number=3,
+        start=0.4,
+        trajectory=_TRAJECTORY,
+        scene_revision=_REVISION,
+        replan=True,
+        tip=_POSE,
+        touches=(_TOUCH,),
     ),
     m.ReplaceTrajectory(
         goal_id="goal-1", number=3, at=0.8, trajectory=_TRAJECTORY, scene_revision=_REVISION, until=3.0

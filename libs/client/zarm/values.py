@@ -292,17 +292,28 @@ class Path(_Checked, messages.PathGoal):
 
 
 class Offset(_Checked, messages.Offset):
-    """A straight way of `distance` (m) along `direction` in the frame of the tip, `tool`, or the `base`."""
+    """A straight way of `distance` (m) along `direction` in the frame of the tip, `tool`, or the `base`, on which objects may be
+    touched: those named in `touch`.
+    """
 
-    def __init__(self, distance: float, direction: Numbers, frame: Literal["base", "tool"] = "tool") -> None:
-        super().__init__(distance=distance, direction=numbers(direction, "direction"), frame=frame)
+    def __init__(
+        self,
+        distance: float,
+        direction: Numbers,
+        frame: Literal["base", "tool"] = "tool",
+        *,
+        touch: Iterable[str] = (),
+    ) -> None:
+        super().__init__(distance=distance, direction=numbers(direction, "direction"), frame=frame, touch=tuple(touch))
 
 
 class Move(_Checked, messages.Move):
-    """A segment of a program: a motion to any goal that `robot.plan` takes. `name` says in answers which segment it is."""
+    """A segment of a program: a motion to any goal that `robot.plan` takes, on which it may touch the objects named in `touch`.
+    `name` says in answers which segment it is.
+    """
 
-    def __init__(self, goal: Goal, *, name: str | None = None) -> None:
-        super().__init__(kind="move", goal=goal_of(goal), name=name)
+    def __init__(self, goal: Goal, *, touch: Iterable[str] = (), name: str | None = None) -> None:
+        super().__init__(kind="move", goal=goal_of(goal), touch=tuple(touch), name=name)
 
 
 class Wait(_Checked, messages.Wait):

@@ -96,6 +96,7 @@ class Executor:
                 replan=request.replan and not chosen.along_curve,
                 tip=chosen.tip,
                 segments=chosen.segments,
+                touches=chosen.touches,
             )
             turn.start(goal)
         RateBounds.of(

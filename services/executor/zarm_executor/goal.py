@@ -6,7 +6,7 @@ from bisect import bisect_right
 from dataclasses import dataclass, replace
 
 from zarm_contract.errors import Problem
-from zarm_contract.messages import GoalState, GoalTrajectory, Pose, SceneRevision
+from zarm_contract.messages import GoalState, GoalTrajectory, Pose, SceneRevision, Touch
 from zarm_executor.monitor import Monitor
 from zarm_executor.states import Accepted, State, hold_of, outcome_of, status_of
 from zarm_executor.strategies.base import Progress
@@ -40,7 +40,7 @@ class Goal:
     `scene` is the scene revision in which the goal began, or in which the newest chunk of a stream arrived; None if
     none was known. `verified` is the revision in which the trajectory was verified, or None; `number` counts its
     trajectories. If `replan` is set, the servo may replace the trajectory, also by one to other joints if the goal is
-    the pose `tip`. `segments` are the times (s) at which those of a program begin. `monitor` watches the motion.
+    the pose `tip`. `segments` are the times (s) at which those of a program begin, `touches` where it may touch objects. `monitor` watches the motion.
     """
 
     goal_id: str
@@ -54,6 +54,7 @@ class Goal:
     replan: bool = False
     tip: Pose | None = None
     segments: tuple[float, ...] = ()
+    touches: tuple[Touch, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -122,6 +123,7 @@ class Goal:
             scene_revision=self.verified,
             replan=self.replan,
             tip=self.tip,
+            touches=self.touches,
         )
 
     def before_motion(self) -> GoalState:

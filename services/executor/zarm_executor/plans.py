@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
-from zarm_contract.messages import ExecuteRequest, Plan, Pose, SceneRevision, Trajectory
+from zarm_contract.messages import ExecuteRequest, Plan, Pose, SceneRevision, Touch, Trajectory
 
 REMEMBERED = 32
 """Number of plans that remain executable by id."""
@@ -22,7 +22,7 @@ class Chosen:
     """The plan to execute, or a trajectory without a plan, which need not claim a scene.
 
     `tip` is the goal of the plan, if that is a pose. `segments` are the times (s) at which the segments of a program
-    begin. A plan `along_curve`, on which the tip keeps to lines, arcs or the ways of a program, must not be replanned.
+    begin, `touches` where objects may be touched. A plan `along_curve`, on which the tip keeps to lines, arcs or the ways of a program, must not be replanned.
     """
 
     plan_id: str | None
@@ -31,6 +31,7 @@ class Chosen:
     tip: Pose | None = None
     segments: tuple[float, ...] = ()
     along_curve: bool = False
+    touches: tuple[Touch, ...] = ()
 
     @property
     def name(self) -> str:
@@ -77,7 +78,7 @@ class Plans:
         tip = None if plan.selected_goal_index is None else plan.tip
         segments = tuple(segment.begin for segment in plan.segments)
         along_curve = plan.tool is not None or bool(segments)
-        return Chosen(plan.plan_id, plan.trajectory, plan.scene_revision, tip, segments, along_curve)
+        return Chosen(plan.plan_id, plan.trajectory, plan.scene_revision, tip, segments, along_curve, plan.touches)
 
     def _last(self) -> Plan:
         newest = self._ask()

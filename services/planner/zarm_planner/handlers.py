@@ -7,7 +7,7 @@ import operator
 import os
 import secrets
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -44,6 +44,7 @@ from zarm_contract.messages import (
     SceneRevision,
     SetLinkCollision,
     SettingsChange,
+    Touch,
     Vector3,
 )
 from zarm_geometry.exact import RESOLUTION, ExactScene
@@ -62,7 +63,7 @@ from zarm_planner.kinematics.pose_region import PoseRegion
 from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.base import Planner
 from zarm_planner.planners.registry import AUTO, PLANNERS, check_name, choose, names_of
-from zarm_planner.programs import PlannedProgram, SceneChange, of_only_segment, plan_program, with_ways
+from zarm_planner.programs import PlannedProgram, Scales, SceneChange, of_only_segment, plan_program, with_ways
 from zarm_planner.scene.attached_objects import attach, detach
 from zarm_planner.scene.moved_objects import MovedObjects
 from zarm_planner.scene.planning_scene import PlanningScene
@@ -182,6 +183,7 @@ class Handlers:
         verified: Verified,
         timings: PlanTimings,
         segments: tuple[PlannedSegment, ...] = (),
+        touches: tuple[Touch, ...] = (),
     ) -> Plan:
         model, trajectory = self._model, verified.trajectory
         return Plan.model_construct(  # from values just verified
@@ -195,6 +197,7 @@ class Handlers:
             goal_deviation=verified.deviation,
             tool=verified.tool,
             segments=segments,
+            touches=touches,
             clearance=verified.clearance,
             too_near=verified.too_near,
             resolution=RESOLUTION,
@@ -232,7 +235,7 @@ class Handlers:
         revision, planned, timings, turns = self._scheduler.run(
             work, requester(), request.timeout or settings.timeout, request.request_id
         )
-        plan = self._reply(revision, planned.verified.shifted(turns), timings, planned.segments)
+        plan = self._reply(revision, planned.verified.shifted(turns), timings, planned.segments, planned.touches)
         changes = tuple(
             (at, change.model_copy(update={"joints": tuple((q + turns).tolist())})) for at, change, q in planned.changes
         )
@@ -432,20 +435,21 @@ class _Stage:
         self.timer = StageTimer()
         self._changed: _Ready | None = None
 
-    def context(self, velocity_scale: float | None, acceleration_scale: float | None) -> PlanningContext:
+    def context(self, scales: Scales, touch: Collection[str] = ()) -> PlanningContext:
         """See `programs.Stage`."""
         request, handlers = self._request, self._handlers
         settings, given = handlers._settings, request.self_margin
         self_margin = handlers._model.robot.descriptor.self_margin if given is None else given
-        if self._changed is None:
+        margin = settings.margin if request.margin is None else request.margin
+        if touch:
+            scene = self._without(touch).with_margins(margin, self_margin)
+        elif self._changed is None:
             scene = handlers._planning_scene(request.margin, self_margin)
         else:
-            scene = self._changed.with_margins(
-                settings.margin if request.margin is None else request.margin, self_margin
-            )
+            scene = self._changed.with_margins(margin, self_margin)
         limits = handlers._limits(
-            velocity_scale or request.velocity_scale or settings.velocity_scale,
-            acceleration_scale or request.acceleration_scale or settings.acceleration_scale,
+            scales[0] or request.velocity_scale or settings.velocity_scale,
+            scales[1] or request.acceleration_scale or settings.acceleration_scale,
         )
         return PlanningContext(
             scene=scene,
@@ -455,6 +459,17 @@ class _Stage:
             seed=request.seed,
             timer=self.timer,
         )
+
+    def _without(self, names: Collection[str]) -> _Ready:
+        """The scene without some of its objects."""
+        objects = self._handlers.moved.objects(self._scene)
+        if missing := set(names) - {item.name for item in objects}:
+            raise InvalidRequest(
+                f"there is no object {', '.join(sorted(missing))} in the scene to touch; the scene holds "
+                f"{', '.join(item.name for item in objects) or 'none'}",
+                field="touch",
+            )
+        return self._handlers._made_ready(self._scene, tuple(item for item in objects if item.name not in names))
 
     def change(self, change: SceneChange, q: Array) -> None:
         """See `programs.Stage`."""

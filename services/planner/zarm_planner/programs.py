@@ -6,7 +6,7 @@ from some of them can all of these be followed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -29,6 +29,7 @@ from zarm_contract.messages import (
     PoseGoal,
     Segment,
     SpeedChange,
+    Touch,
     Wait,
 )
 from zarm_geometry.frames import pose_of
@@ -51,14 +52,18 @@ CHANGE_S = 0.2
 _CANDIDATES = 16
 """Most configurations from which the curves after a motion are tried."""
 
+Scales = tuple[float | None, float | None]
+"""Shares of the limits of velocity and acceleration, or None for those of the request."""
 SceneChange = AttachObject | DetachObject
 
 
 class Stage(Protocol):
     """The surroundings of a program's segments."""
 
-    def context(self, velocity_scale: float | None, acceleration_scale: float | None) -> PlanningContext:
-        """The context of a motion, with the scene as it is at that point of the program."""
+    def context(self, scales: Scales, touch: Collection[str] = ()) -> PlanningContext:
+        """The context of a motion, with the scene as it is at that point of the program, without the objects that it may
+        touch. Raises InvalidRequest for one that is not in the scene.
+        """
 
     def change(self, change: SceneChange, q: Array) -> None:
         """Attach or detach an object with the robot at `q` (dof,). Raises InvalidRequest."""
@@ -66,11 +71,14 @@ class Stage(Protocol):
 
 @dataclass(frozen=True)
 class PlannedProgram:
-    """A program as one motion. `changes` say what is attached or detached at which time (s), and the joints (dof,) there."""
+    """A program as one motion. `changes` say what is attached or detached at which time (s), and the joints (dof,) there;
+    `touches` where objects may be touched.
+    """
 
     verified: Verified
     segments: tuple[PlannedSegment, ...]
     changes: tuple[tuple[float, SceneChange, Array], ...]
+    touches: tuple[Touch, ...]
 
 
 @dataclass
@@ -80,9 +88,12 @@ class _Progress:
     q: Array
     parts: list[Verified] = field(default_factory=list)
     motions: list[TimedTrajectory] = field(default_factory=list)
+    touches: list[Touch] = field(default_factory=list)
     time: float = 0.0
 
-    def add(self, motion: TimedTrajectory) -> None:
+    def add(self, motion: TimedTrajectory, touch: tuple[str, ...] = ()) -> None:
+        if touch:
+            self.touches.append(Touch(objects=touch, begin=self.time, end=self.time + motion.duration))
         self.motions.append(motion)
         self.time += motion.duration
         self.q = motion.end
@@ -96,32 +107,36 @@ def plan_program(
     Raises the error of the first segment that fails, which its message and field name; `check` may raise the deadline's.
     """
     done, planned, changes = _Progress(start), [], []
-    scales: tuple[float | None, float | None] = None, None
+    scales: Scales = (None, None)
+    touched: tuple[
+        str, ...
+    ] = ()  # by the motion before; while it stands, the robot may still do so, and what it may next
     for number, segment in enumerate(segments):
-        begin = done.time
+        begin, standing = done.time, tuple({*touched, *_touch_after(segments[number + 1 :])})
         check()
         try:
             match segment:
-                case Move(goal=goal):
+                case Move(goal=goal, touch=touch):
                     after = _curves_after(segments[number + 1 :])
-                    for verified in _moves(stage.context(*scales), done.q, goal, after, planners):
+                    motions = _Motions(stage, scales, touch, planners)
+                    for verified, touched in motions.of(done.q, goal, after):
                         done.parts.append(verified)
-                        done.add(verified.trajectory)
+                        done.add(verified.trajectory, touched)
                 case Wait(duration=duration):
-                    done.add(TimedTrajectory.standing(done.q, duration))
+                    done.add(TimedTrajectory.standing(done.q, duration), standing)
                 case SpeedChange():
                     scales = segment.velocity_scale, segment.acceleration_scale
                 case Attach() | Detach():
                     change = _change(segment)
                     stage.change(change, done.q)
                     changes.append((done.time, change, done.q))
-                    done.add(TimedTrajectory.standing(done.q, CHANGE_S))
+                    done.add(TimedTrajectory.standing(done.q, CHANGE_S), standing)
         except ZarmError as error:
             raise _of_segment(error, number, segment) from error
         planned.append(PlannedSegment(action=segment.kind, name=segment.name, begin=begin, end=done.time))
     if not done.parts:
         raise InvalidRequest("no segment of the program moves the robot; add one of kind move", field="segments")
-    return PlannedProgram(_whole(done), tuple(planned), tuple(changes))
+    return PlannedProgram(_whole(done), tuple(planned), tuple(changes), tuple(done.touches))
 
 
 def with_ways(goal: Goal) -> bool:
@@ -135,6 +150,11 @@ def _change(segment: Attach | Detach) -> SceneChange:
     return DetachObject(op="detach", name=segment.object)
 
 
+def _touch_after(segments: Sequence[Segment]) -> tuple[str, ...]:
+    """What the next motion may touch."""
+    return next((segment.touch for segment in segments if isinstance(segment, Move)), ())
+
+
 def _curves_after(segments: Sequence[Segment]) -> list[CartesianGoal]:
     """The lines, arcs and paths that follow, up to the next motion that is free to choose its way."""
     curves: list[CartesianGoal] = []
@@ -146,37 +166,48 @@ def _curves_after(segments: Sequence[Segment]) -> list[CartesianGoal]:
     return curves
 
 
-def _moves(
-    context: PlanningContext, q: Array, goal: Goal, after: Sequence[CartesianGoal], planners: Sequence[Planner]
-) -> Iterator[Verified]:
-    """The motions of one segment from the joints `q` (dof,): to where a goal's approach begins, along it, along its
-    retreat; or the only one.
-    """
-    if not isinstance(goal, PoseGoal) or not (after or with_ways(goal)):
-        yield _planned(context, q, goal, planners)
-        return
-    bare = goal.model_copy(update={"approach": None, "retreat": None})
-    with context.timer.stage("ik"):
-        ends = PlanningProblem.of(context, q, bare).targets[-1]
-    failure: ZarmError | None = None
-    for end in ends[:_CANDIDATES]:
-        context.deadline.check()
-        try:
-            begin, ways = _ways(context, end.asked, goal)
-            _follow(context, begin, [*ways, *after])
-            joints = JointGoal(kind="joints", position=tuple(begin.tolist()))
-            motions = [_planned(context, q, joints, planners)]
-            for way in ways:
-                motions.append(_planned(context, motions[-1].trajectory.end, way, planners))
-        except PlanningFailed as error:
-            failure = failure or error
-            continue
-        chosen = replace(motions[-1], goal_pose=end.pose)
-        yield from (*motions[:-1], chosen)
-        return
-    if failure is not None and with_ways(goal):
-        raise failure
-    yield _planned(context, q, bare, planners)  # the curve itself then says how far it can be followed
+@dataclass(frozen=True)
+class _Motions:
+    """Plans the motions of one segment, which may touch the objects `touch` on all of them."""
+
+    stage: Stage
+    scales: Scales
+    touch: tuple[str, ...]
+    planners: Sequence[Planner]
+
+    def of(self, q: Array, goal: Goal, after: Sequence[CartesianGoal]) -> Iterator[tuple[Verified, tuple[str, ...]]]:
+        """The motions from the joints `q` (dof,) on, each with what it may touch: to where a goal's approach begins, along
+        it, along its retreat; or the only one. `after` are the curves that follow.
+        """
+        context = self.stage.context(self.scales, self.touch)
+        if not isinstance(goal, PoseGoal) or not (after or with_ways(goal)):
+            yield _planned(context, q, goal, self.planners), self.touch
+            return
+        at_pose = tuple({*self.touch, *(name for way in (goal.approach, goal.retreat) if way for name in way.touch)})
+        near = context if set(at_pose) == set(self.touch) else self.stage.context(self.scales, at_pose)
+        bare = goal.model_copy(update={"approach": None, "retreat": None})
+        with near.timer.stage("ik"):
+            ends = PlanningProblem.of(near, q, bare).targets[-1]
+        failure: ZarmError | None = None
+        for end in ends[:_CANDIDATES]:
+            context.deadline.check()
+            try:
+                begin, ways = _ways(near, end.asked, goal)
+                _follow(near, begin, [*ways, *after])  # what is touched may be attached before those after it
+                joints = JointGoal(kind="joints", position=tuple(begin.tolist()))
+                motions = [_planned(context if ways else near, q, joints, self.planners)]
+                for way in ways:
+                    motions.append(_planned(near, motions[-1].trajectory.end, way, self.planners))
+            except PlanningFailed as error:
+                failure = failure or error
+                continue
+            motions[-1] = replace(motions[-1], goal_pose=end.pose)
+            yield motions[0], self.touch
+            yield from ((motion, at_pose) for motion in motions[1:])
+            return
+        if failure is not None and with_ways(goal):
+            raise failure
+        yield _planned(context, q, bare, self.planners), self.touch  # the curve then says how far it can be followed
 
 
 def _ways(context: PlanningContext, q: Array, goal: PoseGoal) -> tuple[Array, list[CartesianGoal]]:

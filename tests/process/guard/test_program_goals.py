@@ -14,13 +14,16 @@ from zarm_contract.messages import (
     Attach,
     Cuboid,
     Detach,
+    DetachObject,
     LineGoal,
     Move,
+    Offset,
     Plan,
     PlanRequest,
     PoseGoal,
     ProgramRequest,
     Scene,
+    SceneEdit,
     Segment,
     Sphere,
 )
@@ -73,6 +76,29 @@ def test_program_runs_as_one_goal_and_changes_the_scene_where_the_robot_gets_the
     segments = [state.segment for state in cell.client.goals if state.goal_id == goal and state.segment is not None]
     assert segments == sorted(segments)
     assert {0, 2, 3, 5} <= set(segments)
+
+
+def test_part_on_a_table_is_touched_and_lifted_off_under_guard(cell: Cell) -> None:
+    x, y, z = at(0.0, 0.15, -0.3)
+    table = Cuboid(kind="cuboid", name="table", position=(x, y, z - 0.11), size=(0.3, 0.2, 0.02))
+    part = Cuboid(kind="cuboid", name="part", position=(x, y, z), size=(0.05, 0.05, 0.2))
+    load(cell.bus, table, part)
+    down = Offset(distance=0.1, direction=(0.0, 0.0, 1.0), touch=("part",))
+    pick = PoseGoal(kind="pose", position=at(0.0, 0.15, -0.2), orientation=pose_of(TIP).orientation, approach=down)
+    up = LineGoal(kind="line", position=at(0.0, 0.15, -0.1))
+    made = program(
+        cell,
+        Move(kind="move", goal=pick),
+        Attach(kind="attach", object="part", touch_links=("link_6",)),
+        Move(kind="move", goal=up, touch=("table",)),
+        line(0.0, 0.05, -0.1),
+    )
+    assert {name for touch in made.touches for name in touch.objects} == {"part", "table"}
+    goal = cell.client.execute(plan_id=made.plan_id)
+    assert cell.client.ended(goal).status == "succeeded"
+    assert not any(state.hold for state in cell.client.goals if state.goal_id == goal)
+    assert [one.object.name for one in scene(cell).attached] == ["part"]
+    cell.bus.call(KEYS.scene_edit, SceneEdit(edit=DetachObject(op="detach", name="part")), timeout=PATIENCE)
 
 
 def test_cancelled_program_changes_nothing_more(cell: Cell) -> None:

@@ -168,6 +168,31 @@ def test_what_is_attached_goes_along_and_is_left_where_it_is_detached(handlers: 
     assert left.position == pytest.approx(at(0.0, -0.2, -0.12), abs=1e-3)
 
 
+def test_named_objects_may_be_touched_on_the_approach_and_nowhere_else(handlers: Handlers) -> None:
+    part = Cuboid(kind="cuboid", name="part", position=at(0.0, 0.25, -0.2), size=(0.06, 0.06, 0.3))
+    put(handlers, part)
+    down = Offset(distance=0.12, direction=(0.0, 0.0, 1.0))
+    touching = down.model_copy(update={"touch": ("part",)})
+    inside = (0.0, 0.25, -0.08)  # 3 cm inside the part
+    with pytest.raises(PlanningFailed, match="part"):
+        planned(handlers, move(pose_goal(*inside, approach=down)))
+    plan, _ = planned(
+        handlers,
+        move(pose_goal(*inside, approach=touching)),
+        Attach(kind="attach", object="part", touch_links=("link_6",)),
+        move(line(0.0, 0.25, 0.05)),
+    )
+    first, second = plan.touches
+    assert first.objects == second.objects == ("part",)
+    assert 0.0 < first.begin < first.end == second.begin == plan.segments[1].begin
+    assert second.end == plan.segments[1].end
+    assert tip_at(plan, first.begin)[:3, 3] == pytest.approx(at(0.0, 0.25, 0.04), abs=1e-4)
+    with pytest.raises(PlanningFailed, match="segment 1"):
+        planned(handlers, move(pose_goal(*inside, approach=touching)), move(line(0.0, 0.25, 0.05)))
+    with pytest.raises(InvalidRequest, match="no object bin"):
+        planned(handlers, move(pose_goal(*inside, approach=down.model_copy(update={"touch": ("bin",)}))))
+
+
 def test_carried_object_is_kept_from_obstacles(handlers: Handlers) -> None:
     part = Cuboid(kind="cuboid", name="part", position=at(0.0, 0.2, -0.35), size=(0.04, 0.04, 0.3))
     wall = Cuboid(kind="cuboid", name="wall", position=at(0.0, 0.0, -0.35), size=(0.6, 0.02, 0.3))

@@ -114,3 +114,15 @@ def test_the_time_to_rest_holds_for_an_executor_that_brakes_then() -> None:
             follower.advance(0.01)
             ticks += 1
         assert 0.01 * ticks + 0.1 <= stopping.after(float(time))
+
+
+def test_what_may_be_touched_for_a_time_is_no_obstacle_then(checker: Checker) -> None:
+    found = checker.validity(WAY, 0.0, seen(POST), EMPTY)
+    assert found.until is not None
+    assert found.obstruction is not None
+    whole = Touch(objects=("post",), begin=0.0, end=WAY.duration)
+    assert checker.validity(WAY, 0.0, seen(POST), EMPTY, touches=(whole,)).until is None
+    before = Touch(objects=("post",), begin=0.0, end=found.until / 2)
+    assert checker.validity(WAY, 0.0, seen(POST), EMPTY, touches=(before,)).obstruction == found.obstruction
+    other = Touch(objects=("ball",), begin=0.0, end=WAY.duration)
+    assert checker.validity(WAY, 0.0, seen(POST), EMPTY, touches=(other,)) == found

@@ -36,6 +36,7 @@ from zarm_contract.messages.motion import (
     Positive,
     Quaternion,
     Scale,
+    Touch,
     Trajectory,
     Vector3,
 )
@@ -248,6 +249,7 @@ __all__ = [
     "TipFrame",
     "TooNear",
     "ToolMotion",
+    "Touch",
     "Trajectory",
     "TwistTarget",
     "Vector3",

@@ -8,7 +8,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
-from zarm_contract.messages.motion import Joints, Name, NonNegative, Pose, Positive, SequenceNumber, Trajectory
+from zarm_contract.messages.motion import Joints, Name, NonNegative, Pose, Positive, SequenceNumber, Touch, Trajectory
 from zarm_contract.messages.scene import SceneRevision
 
 RobotMode = Literal["idle", "running", "stopping", "paused", "fault"]
@@ -65,7 +65,7 @@ class GoalTrajectory(Message):
 
     Sample 0 of `trajectory` is at the path time `start` (s). `scene_revision` is the scene in which it was verified; left out: not verified.
     With `replan` the servo replaces it when something is in its way. `tip` is the pose of a pose goal: any joints that bring the tip
-    there will do. Left out: the joints at the end are the goal.
+    there will do. Left out: the joints at the end are the goal. `touches` say where it may touch objects, in path time.
     """
 
     goal_id: Name
@@ -75,6 +75,7 @@ class GoalTrajectory(Message):
     scene_revision: SceneRevision | None = None
     replan: bool = False
     tip: Pose | None = None
+    touches: tuple[Touch, ...] = ()
 
 
 class ReplaceTrajectory(Message):

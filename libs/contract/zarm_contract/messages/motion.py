@@ -119,3 +119,11 @@ class Trajectory(Message):
         same_length(rows, info, "time")
         same_width(rows, info)
         return rows
+
+
+class Touch(Message):
+    """Objects of the scene that the robot, or what it carries, may touch from `begin` to `end` (s) of a trajectory."""
+
+    objects: tuple[Name, ...] = Field(min_length=1, max_length=32)
+    begin: NonNegative
+    end: NonNegative

@@ -16,6 +16,7 @@ from zarm_contract.messages.motion import (
     Positive,
     Quaternion,
     Scale,
+    Touch,
     Trajectory,
     Vector3,
     same_length,
@@ -65,11 +66,15 @@ class TipFrame(Message):
 
 
 class Offset(Message):
-    """A straight way of `distance` (m) along `direction`, which need not have length 1, in the frame of the tip or the base."""
+    """A straight way of `distance` (m) along `direction`, which need not have length 1, in the frame of the tip or the base.
+
+    On it, and at its end, the robot may touch the objects named in `touch`.
+    """
 
     distance: Annotated[float, Field(gt=0, le=2)]
     direction: Vector3
     frame: Literal["base", "tool"] = "tool"
+    touch: tuple[Name, ...] = Field(default=(), max_length=32)
 
     @field_validator("direction")
     @classmethod
@@ -326,7 +331,7 @@ class Plan(Message):
     says which pose of a pose goal that is: 0 is its own, k its k-th alternative. With waypoints it belongs to the last one.
     It is left out if the motion ends at a joint goal. `goal_deviation` says how a goal's tolerance is used: the components
     `[theta_x, theta_y, theta_z, x, y, z]` (rad, m) by which the end is off that pose, see `PoseTolerance`. `tool` is given for lines,
-    arcs and paths, `segments` for programs.
+    arcs and paths, `segments` for programs, and `touches` where objects may be touched: `clearance` does not count these there.
     """
 
     plan_id: Name
@@ -339,6 +344,7 @@ class Plan(Message):
     goal_deviation: PoseDeviation | None = None
     tool: ToolMotion | None = None
     segments: tuple[PlannedSegment, ...] = ()
+    touches: tuple[Touch, ...] = ()
     clearance: float
     too_near: tuple[TooNear, ...] = ()
     resolution: Positive

@@ -12,10 +12,14 @@ from zarm_contract.messages.planner import Attempts, Goal, Margin, Timeout
 
 
 class Move(Message):
-    """Move to a goal, or along a line, an arc or a path. `name` says in answers which segment it is."""
+    """Move to a goal, or along a line, an arc or a path. `name` says in answers which segment it is.
+
+    The robot, or what it carries, may touch the objects named in `touch` on the way.
+    """
 
     kind: Literal["move"]
     goal: Goal
+    touch: tuple[Name, ...] = Field(default=(), max_length=32)
     name: Name | None = None
 
 

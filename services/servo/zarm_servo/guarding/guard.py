@@ -229,7 +229,12 @@ class Guard:
         try:
             verified = self._world.scene.at(followed.message.scene_revision)
             return self._checker.validity(
-                followed.trajectory, self._goals.reached(followed, time.monotonic()), scene, verified, moving
+                followed.trajectory,
+                self._goals.reached(followed, time.monotonic()),
+                scene,
+                verified,
+                moving,
+                followed.message.touches,
             )
         except ZarmError as error:
             log.error("a goal is not guarded goal_id=%s reason=%s", followed.message.goal_id, error)

@@ -4,13 +4,14 @@ it.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from zarm_contract.messages import Obstruction, SceneObject
+from zarm_contract.messages import Obstruction, SceneObject, Touch
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
@@ -87,9 +88,10 @@ class Checker:
         scene: SceneSnapshot,
         verified: SceneSnapshot | None,
         without: Collection[str] = (),
+        touches: Sequence[Touch] = (),
     ) -> PathValidity:
         """How far `trajectory` is free in the scene, from the path time `begin` (s) on, ignoring the objects in
-        `without`.
+        `without`, and those of `touches` in their times.
 
         The whole trajectory was checked in the scene `verified`, so only what has changed since is checked: not the
         other objects, nor the robot's own links, which may pass close to each other. The robot brakes along the
@@ -105,13 +107,31 @@ class Checker:
         }
         if (same and not objects) or begin >= trajectory.duration:
             return PathValidity()
+        for first, last, ignored in _parts(begin, trajectory.duration, touches):
+            part = {name: item for name, item in objects.items() if name not in ignored} if ignored else objects
+            found = self._validity_between(trajectory, first, last, scene, part, self_collision=not same)
+            if found.until is not None:
+                return found
+        return PathValidity()
+
+    def _validity_between(
+        self,
+        trajectory: TimedTrajectory,
+        begin: float,
+        end: float,
+        scene: SceneSnapshot,
+        objects: Mapping[str, SceneObject],
+        *,
+        self_collision: bool,
+    ) -> PathValidity:
+        """How far a trajectory is free of `objects` between two path times (s)."""
         self._scene.load(objects)
-        times = _times(begin, trajectory.duration)
+        times = _times(begin, end)
         positions = trajectory.positions(times)
 
         def first(*grown: MovingObject) -> MotionVerdict:
             situation = self._scene.motions.situation(scene.attached, scene.ignored_links, grown)
-            return situation.check(times, positions, margin=CONTACT, self_collision=not same)
+            return situation.check(times, positions, margin=CONTACT, self_collision=self_collision)
 
         contact = first()
         time, what = contact.contact_time, contact.object or ""
@@ -155,6 +175,18 @@ class Checker:
         present = first(mover.swept(now, 0.0, _FINENESS)).contact_time
         time = trajectory.duration if present is None else present
         return PathValidity(until, Obstruction(object=name, link=found.link or "", time=max(time, until)))
+
+
+def _parts(begin: float, end: float, touches: Sequence[Touch]) -> Iterator[tuple[float, float, frozenset[str]]]:
+    """The parts between two path times (s) in which the same objects may be touched: when each begins and ends, and which."""
+    edges = {begin, end, *(edge for touch in touches for edge in (touch.begin, touch.end) if begin < edge < end)}
+    for first, last in itertools.pairwise(sorted(edges)):
+        middle = (first + last) / 2.0
+        yield (
+            first,
+            last,
+            frozenset(name for touch in touches if touch.begin <= middle <= touch.end for name in touch.objects),
+        )
 
 
 def _times(begin: float, end: float) -> Array:
