@@ -6,7 +6,7 @@ import pytest
 from support.planner.client import BEHIND_POST, POST
 from support.planner.second_opinion import Collisions
 from support.trajectories import HOME, RATE_LIMITS, ROBOT, rest_to_rest
-from zarm_contract.messages import Attached, Cuboid, SceneObject
+from zarm_contract.messages import Attached, Cuboid, SceneObject, Touch
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.guarding.stopping import StoppingTime
