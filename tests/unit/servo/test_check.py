@@ -123,6 +123,9 @@ def test_what_may_be_touched_for_a_time_is_no_obstacle_then(checker: Checker) ->
     whole = Touch(objects=("post",), begin=0.0, end=WAY.duration)
     assert checker.validity(WAY, 0.0, seen(POST), EMPTY, touches=(whole,)).until is None
     before = Touch(objects=("post",), begin=0.0, end=found.until / 2)
-    assert checker.validity(WAY, 0.0, seen(POST), EMPTY, touches=(before,)).obstruction == found.obstruction
+    left = checker.validity(WAY, 0.0, seen(POST), EMPTY, touches=(before,)).obstruction
+    assert left is not None
+    assert left.object == found.obstruction.object
+    assert left.time == pytest.approx(found.obstruction.time, abs=0.02)
     other = Touch(objects=("ball",), begin=0.0, end=WAY.duration)
     assert checker.validity(WAY, 0.0, seen(POST), EMPTY, touches=(other,)) == found
