@@ -12,7 +12,7 @@ from viser import Icon
 from viser.transforms import SE3, SO3
 
 from zarm.values import Goal as Target
-from zarm.values import Waypoints, invalid, pose_of
+from zarm.values import invalid, pose_of
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Plan
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -23,6 +23,7 @@ from zarm_viewer.named_poses import NamedPoses
 from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.plan_options import PlanOptions
 from zarm_viewer.watching import News
+from zarm_viewer.way_options import WayOptions
 from zarm_viewer.waypoints import WaypointHandles
 
 NO_GOAL = "Drag the handle at the tip, or choose a pose."
@@ -64,6 +65,8 @@ class MotionPanel:
             self._add_numbers()
         with gui.add_folder("Waypoints", expand_by_default=False):
             self._add_waypoints()
+        with gui.add_folder("Way", expand_by_default=False):
+            self._way = WayOptions(panels)
         with gui.add_folder("Options", expand_by_default=False):
             self._options = PlanOptions(panels)
 
@@ -166,10 +169,9 @@ class MotionPanel:
 
     def _target(self) -> Target:
         aim = self._goal.now
-        if through := self._waypoints.poses:
-            return Waypoints(*through, pose_of(message_of(aim.pose)))
-        if self._options.to_pose or aim.branch is None:
-            return pose_of(message_of(aim.pose))
+        through, pose = self._waypoints.poses, pose_of(message_of(aim.pose))
+        if through or self._way.in_use or self._options.to_pose or aim.branch is None:
+            return self._way.target(through, pose)
         return tuple(aim.branch.joints.tolist())
 
     def _plan_it(self) -> Plan:

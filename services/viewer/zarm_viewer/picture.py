@@ -6,6 +6,7 @@ from collections import deque
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zarm_contract.messages import Trajectory, Vector3
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -16,11 +17,23 @@ from zarm_viewer.scene_view import SceneView
 from zarm_viewer.watching import News
 
 MEASURED, GHOST = (222, 226, 230), (90, 200, 250)
-TRAIL, PATH, CLEARANCE = (250, 176, 5), (64, 192, 87), (224, 49, 49)
+TRAIL, CLEARANCE = (250, 176, 5), (224, 49, 49)
+SLOW, FAST = (116, 143, 252), (64, 192, 87)
+"""The planned path, where the tip moves slowest and fastest."""
 TRAIL_POINTS, PATH_POINTS = 150, 120
 TRAIL_STEP = 0.005
 """Distance (m) between points of the trail."""
 _APART = 0.005  # rad between ghost and robot above which the ghost is shown
+
+
+def speed_colours(points: Array) -> NDArray[np.uint8]:
+    """Colours (n - 1, 2, 3) of the segments between points (n, 3) that follow each other at equal times: FAST where they are
+    longest.
+    """
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    share = (lengths / max(float(lengths.max(initial=0.0)), 1e-9))[:, None, None]
+    colours = (1.0 - share) * np.array(SLOW) + share * np.array(FAST)
+    return np.repeat(colours.round().astype(np.uint8), 2, axis=1)
 
 
 class Picture:
@@ -80,11 +93,10 @@ class Picture:
     def _draw_path(self, trajectory: Trajectory) -> None:
         timed = TimedTrajectory.of(trajectory, self._panels.description.descriptor.joints)
         times = np.linspace(float(timed.time[0]), timed.duration, PATH_POINTS)
-        self._line(
-            "path", np.array([self._panels.chain.tip(row).translation() for row in timed.positions(times)]), PATH
-        )
+        points = np.array([self._panels.chain.tip(row).translation() for row in timed.positions(times)])
+        self._line("path", points, speed_colours(points))
 
-    def _line(self, name: str, points: Array, colour: tuple[int, int, int]) -> None:
+    def _line(self, name: str, points: Array, colour: tuple[int, int, int] | NDArray[np.uint8]) -> None:
         if len(points) > 1:
             self._panels.server.scene.add_line_segments(
                 f"{self._panels.root}/{name}",

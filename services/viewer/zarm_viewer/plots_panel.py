@@ -11,7 +11,7 @@ from viser import GuiUplotHandle, uplot
 
 from zarm_contract.messages import Plan
 from zarm_trajectory.trajectory import TimedTrajectory
-from zarm_viewer.kinematics import Array
+from zarm_viewer.kinematics import Array, Chain
 from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.watching import News
 
@@ -19,7 +19,9 @@ QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 SECONDS, RATE = 10.0, 10.0
 """Length (s) of the live plots, and their sample rate (Hz)."""
 LIVE = (*QUANTITIES, "tracking error (mrad)")
+TOOL_SPEED = "tool speed (m/s)"
 TICKS = "tick lateness (ms)"
+TOOL_SAMPLES = 300
 _COLOURS = ("#e03131", "#2f9e44", "#1971c2", "#f08c00", "#9c36b5", "#0c8599", "#495057")
 
 
@@ -62,10 +64,12 @@ class PlotsPanel:
         self._ticks: deque[tuple[float, float]] = deque(maxlen=int(SECONDS * RATE))
         self._measured = Measured(len(lower))
         gui = panels.server.gui
-        self._choice = gui.add_dropdown("of the plan", QUANTITIES, initial_value="velocity")
+        self._choice = gui.add_dropdown("of the plan", (*QUANTITIES, TOOL_SPEED), initial_value="velocity")
         self._choice.on_update(lambda _: self._draw_plan())
         joint_names = panels.description.descriptor.joints
         self._of_plan = self._plot("share of the limit (%)", joint_names)
+        self._of_tool = self._plot(TOOL_SPEED, ("tip",))
+        self._of_tool.visible = False
         self._live = gui.add_dropdown("live", ("off", *LIVE, TICKS), initial_value="off")
         self._of_now = self._plot("live", joint_names)
         self._of_ticks = self._plot(TICKS, ("latest tick of the control loop",))
@@ -120,10 +124,22 @@ class PlotsPanel:
         if self._plan is None:
             return
         timed = TimedTrajectory.of(self._plan.trajectory, self._panels.description.descriptor.joints)
+        of_tool = self._choice.value == TOOL_SPEED
+        self._of_plan.visible, self._of_tool.visible = not of_tool, of_tool
+        if of_tool:
+            self._of_tool.data = tool_speed(timed, self._panels.chain)
+            return
         times, (position, *rates) = sampled(timed)
         rows = (position - self._middle, *rates)
         chosen = QUANTITIES.index(self._choice.value)
         self._of_plan.data = (times, *(100 * rows[chosen] / self._limits[chosen]).T)
+
+
+def tool_speed(timed: TimedTrajectory, chain: Chain) -> tuple[Array, Array]:
+    """Times (K,) in s, and the speed (K,) of the tip there in m/s."""
+    times = np.linspace(0.0, timed.duration, TOOL_SAMPLES + 1)
+    tips = np.array([chain.tip(row).translation() for row in timed.positions(times)])
+    return (times[1:] + times[:-1]) / 2, np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff(times)
 
 
 def sampled(timed: TimedTrajectory) -> tuple[Array, tuple[Array, Array, Array, Array]]:

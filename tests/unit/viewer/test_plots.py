@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from zarm_contract.messages import GoalState, JointState
+from zarm_contract.robot import load_robot
 from zarm_trajectory.trajectory import TimedTrajectory
-from zarm_viewer.plots_panel import RATE, Measured, sampled
+from zarm_viewer.kinematics import Chain
+from zarm_viewer.picture import FAST, SLOW, speed_colours
+from zarm_viewer.plots_panel import RATE, Measured, sampled, tool_speed
 from zarm_viewer.watching import tracking_error
 
 
@@ -41,3 +44,21 @@ def test_the_tracking_error_of_a_robot_that_follows_exactly_is_none_however_old_
     goal = GoalState(goal_id="g", status="running", progress=0.5, elapsed=1.0, duration=2.0, joint_command=command)
     assert tracking_error(goal, joints, age, ("a", "b")) == pytest.approx([0.0, 0.0])
     assert tracking_error(goal, joints, age, ("a", "c")) is None
+
+
+def test_tool_speed_of_a_turning_joint_is_that_of_the_tip() -> None:
+    robot = load_robot("doosan_m1013")
+    chain, home = Chain(robot), np.array(robot.descriptor.home)
+    speed = np.eye(6)[0] * 0.5
+    still = np.zeros((2, 6))
+    turning = TimedTrajectory(np.array([0.0, 1.0]), np.stack((home, home + speed)), np.stack((speed, speed)), still)
+    x, y, _ = chain.tip(home).translation()
+    _, seen = tool_speed(turning, chain)
+    assert seen == pytest.approx(0.5 * np.hypot(x, y), rel=1e-3)
+
+
+def test_path_is_coloured_by_the_speed_of_the_tip() -> None:
+    colours = speed_colours(np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.0, 0.0], [0.15, 0.0, 0.0]]))
+    assert tuple(colours[0, 0]) == FAST
+    assert tuple(colours[1, 1]) == SLOW
+    assert tuple(colours[2, 0]) not in (FAST, SLOW)
