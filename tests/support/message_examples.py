@@ -92,7 +92,7 @@ _OFFSET = m.Offset(distance=0.1, direction=(0.0, 0.0, 1.0), frame="base", touch=
 _TOUCH = m.Touch(objects=("part", "bin"), begin=0.5, end=1.25)
 _WITH_WAYS = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), approach=_OFFSET, retreat=_OFFSET)
 _SEGMENTS = (
-    m.Move(kind="move", goal=_WITH_WAYS, name="pick", touch=("bin",)),
+    m.Move(kind="move", goal=_WITH_WAYS, name="pick", touch=("bin",), blend=0.02),
     m.Attach(kind="attach", object="part", touch_links=("finger",), name="grasp"),
     m.Wait(kind="wait", duration=0.5, name="settle"),
     m.SpeedChange(kind="speed", velocity_scale=0.5, acceleration_scale=0.25, name="slow"),
@@ -129,7 +129,7 @@ _PATH = m.PathGoal(
     kind="path",
     points=(
         m.PathPoint(position=(0.4, 0.0, 0.25), orientation=(0.0, 0.6, 0.0, 0.8)),
-        m.PathPoint(position=(0.4, 0.3, 0.25)),
+        m.PathPoint(position=(0.4, 0.3, 0.25), blend=0.01),
     ),
     shape="spline",
     blend=0.02,

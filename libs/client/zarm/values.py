@@ -309,11 +309,12 @@ class Offset(_Checked, messages.Offset):
 
 class Move(_Checked, messages.Move):
     """A segment of a program: a motion to any goal that `robot.plan` takes, on which it may touch the objects named in `touch`.
-    `name` says in answers which segment it is.
+    A `Line` with a `blend` (m) is left so far before its end for the line of the next segment, without stopping. `name` says in
+    answers which segment it is.
     """
 
-    def __init__(self, goal: Goal, *, touch: Iterable[str] = (), name: str | None = None) -> None:
-        super().__init__(kind="move", goal=goal_of(goal), touch=tuple(touch), name=name)
+    def __init__(self, goal: Goal, *, blend: float = 0.0, touch: Iterable[str] = (), name: str | None = None) -> None:
+        super().__init__(kind="move", goal=goal_of(goal), blend=blend, touch=tuple(touch), name=name)
 
 
 class Wait(_Checked, messages.Wait):

@@ -6,6 +6,8 @@ from some of them can all of these be followed.
 
 from __future__ import annotations
 
+import itertools
+import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -25,6 +27,8 @@ from zarm_contract.messages import (
     LineGoal,
     Move,
     Offset,
+    PathGoal,
+    PathPoint,
     PlannedSegment,
     PoseGoal,
     Segment,
@@ -47,6 +51,8 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
 
+ALONG_CURVE = {*LineGoal.model_fields} & {*PathGoal.model_fields} - {"kind"}
+"""The fields that lines and paths have in common."""
 CHANGE_S = 0.2
 """s for which the robot rests while something is attached or detached: the planner edits the scene meanwhile."""
 _CANDIDATES = 16
@@ -108,16 +114,21 @@ def plan_program(
     """
     done, planned, changes = _Progress(start), [], []
     scales: Scales = (None, None)
-    touched: tuple[
-        str, ...
-    ] = ()  # by the motion before; while it stands, the robot may still do so, and what it may next
+    # By the motion before: while it stands, the robot may still touch that, and what it may touch next.
+    touched: tuple[str, ...] = ()
+    passed = 0  # segments that are planned together with one before
     for number, segment in enumerate(segments):
+        if passed:
+            passed -= 1
+            continue
         begin, standing = done.time, tuple({*touched, *_touch_after(segments[number + 1 :])})
+        together: Sequence[Segment] = (segment,)
         check()
         try:
             match segment:
-                case Move(goal=goal, touch=touch):
-                    after = _curves_after(segments[number + 1 :])
+                case Move(touch=touch):
+                    together, goal = blended_lines(segments[number:])
+                    after = _curves_after(segments[number + len(together) :])
                     motions = _Motions(stage, scales, touch, planners)
                     for verified, touched in motions.of(done.q, goal, after):
                         done.parts.append(verified)
@@ -132,11 +143,64 @@ def plan_program(
                     changes.append((done.time, change, done.q))
                     done.add(TimedTrajectory.standing(done.q, CHANGE_S), standing)
         except ZarmError as error:
-            raise _of_segment(error, number, segment) from error
-        planned.append(PlannedSegment(action=segment.kind, name=segment.name, begin=begin, end=done.time))
+            raise _of_segment(error, number, segment, blended=len(together) > 1) from error
+        passed = len(together) - 1
+        ends = [*_passing_times(stage, done, begin, together), done.time]
+        for one, (first, last) in zip(together, itertools.pairwise([begin, *ends]), strict=True):
+            planned.append(PlannedSegment(action=one.kind, name=one.name, begin=first, end=last))
     if not done.parts:
         raise InvalidRequest("no segment of the program moves the robot; add one of kind move", field="segments")
     return PlannedProgram(_whole(done), tuple(planned), tuple(changes), tuple(done.touches))
+
+
+def blended_lines(segments: Sequence[Segment]) -> tuple[Sequence[Segment], Goal]:
+    """The first segments that are one motion, because each line blends into the next, and its goal.
+
+    Raises InvalidRequest for a segment that blends into none.
+    """
+    first = segments[0]
+    lines: list[tuple[Move, LineGoal]] = []
+    for segment in segments:
+        if not isinstance(segment, Move) or not isinstance(segment.goal, LineGoal):
+            break
+        if lines and (_options(segment) != _options(lines[0][0]) or lines[-1][0].blend == 0.0):
+            break
+        lines.append((segment, segment.goal))
+    if not isinstance(first, Move):
+        raise TypeError("only moves blend")
+    last = lines[-1][0] if lines else first
+    if last.blend > 0.0:
+        raise InvalidRequest(
+            "only a line blends, into a line of the next segment with the same options; set blend to 0, or use a path",
+            field="blend",
+        )
+    if len(lines) < 2:
+        return (first,), first.goal
+    fields = first.goal.model_dump(include=ALONG_CURVE)
+    points = tuple(
+        PathPoint(position=line.position, orientation=line.orientation, blend=move.blend) for move, line in lines
+    )
+    return [move for move, _ in lines], PathGoal(kind="path", points=points, **fields)
+
+
+def _options(segment: Move) -> tuple[object, tuple[str, ...]]:
+    """What lines that blend have in common."""
+    return segment.goal.model_dump(include=ALONG_CURVE), segment.touch
+
+
+def _passing_times(stage: Stage, done: _Progress, begin: float, together: Sequence[Segment]) -> list[float]:
+    """When (s) the tip is nearest to the end of each of these lines but the last."""
+    lines = [one.goal for one in together if isinstance(one, Move) and isinstance(one.goal, LineGoal)][:-1]
+    if not lines:
+        return []
+    model, trajectory = stage.context((None, None)).model, done.motions[-1]
+    joint, frame = tip_frame(model, lines[0].tip, "goal.tip")
+    tips = (model.fk_joint(joint, trajectory.position) @ frame)[:, :3, 3]
+    times, at = [], 0
+    for line in lines:
+        at += int(np.argmin(np.linalg.norm(tips[at:] - line.position, axis=1)))
+        times.append(begin + float(trajectory.time[at]))
+    return times
 
 
 def with_ways(goal: Goal) -> bool:
@@ -280,11 +344,13 @@ def _whole(done: _Progress) -> Verified:
     )
 
 
-def _of_segment(error: ZarmError, number: int, segment: Segment) -> ZarmError:
-    """The error of a segment, which it names."""
+def _of_segment(error: ZarmError, number: int, segment: Segment, *, blended: bool) -> ZarmError:
+    """The error of a segment, which it names; lines that blend were planned as one path."""
     problem = error.problem
     called = f"segment {number}" + (f", {segment.name}" if segment.name else "")
     where = problem.field
+    if blended and where is not None:
+        where = re.sub(r"^goal\.points\.\d+", "goal.position", where) if where != "goal.blend" else "blend"
     at = f"segments.{number}" + (f".{where.removeprefix('edit.')}" if where and where != "start" else "")
     return type(error)(
         f"{called}: {problem.message}", code=problem.code, field=at, joint=problem.joint, fraction=problem.fraction

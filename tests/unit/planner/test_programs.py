@@ -142,6 +142,21 @@ def test_approach_and_retreat_are_straight(handlers: Handlers) -> None:
         assert tip[:2, 3] == pytest.approx(pose[:2], abs=2e-4)
 
 
+def test_lines_blend_into_each_other_without_stopping(handlers: Handlers) -> None:
+    corner = move(line(0.0, 0.2, 0.0), "over").model_copy(update={"blend": 0.03})
+    plan, _ = planned(handlers, corner, move(line(0.0, 0.2, -0.15)), Wait(kind="wait", duration=0.5))
+    assert [segment.name for segment in plan.segments[:1]] == ["over"]
+    passed = plan.segments[0].end
+    assert plan.segments[1].begin == passed
+    assert plan.segments[1].end < plan.segments[2].end
+    off = np.linalg.norm(tip_at(plan, passed)[:3, 3] - at(0.0, 0.2, 0.0))
+    assert 0.003 < off < 0.03
+    step = 0.01
+    speed = np.linalg.norm(tip_at(plan, passed + step)[:3, 3] - tip_at(plan, passed)[:3, 3]) / step
+    assert speed > 0.02
+    assert tip_at(plan, plan.segments[1].end)[:3, 3] == pytest.approx(at(0.0, 0.2, -0.15), abs=1e-5)
+
+
 def put(handlers: Handlers, *objects: Cuboid) -> None:
     handlers.edit(SceneEdit(edit=AddObjects(op="add", objects=objects)))
 
@@ -220,6 +235,24 @@ def test_carried_object_is_kept_from_obstacles(handlers: Handlers) -> None:
             InvalidRequest,
             "segments.1.goal.position",
             "segment 1, seam: the line has no extent",
+        ),
+        (
+            lambda: (
+                move(line(0.0, 0.1, 0.0)).model_copy(update={"blend": 0.02}),
+                move(JointGoal(kind="joints", position=HOME)),
+            ),
+            InvalidRequest,
+            "segments.0.blend",
+            "only a line blends",
+        ),
+        (
+            lambda: (
+                move(line(0.0, 0.1, 0.0)).model_copy(update={"blend": 0.2}),
+                move(line(0.0, 0.1, 0.1)),
+            ),
+            InvalidRequest,
+            "segments.0.blend",
+            "does not fit",
         ),
         (
             lambda: (move(line(0.0, 0.1, 0.0)), Attach(kind="attach", object="part")),

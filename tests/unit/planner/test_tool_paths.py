@@ -189,6 +189,8 @@ def test_path_leaves_its_lines_only_in_the_corners(blend: float | None) -> None:
         aside = min(on_line(a, b, pose[:3, 3]) for a, b in itertools.pairwise(corners))
         nearest_corner = min(float(np.linalg.norm(pose[:3, 3] - corner)) for corner in corners[1:-1])
         assert aside <= (width if nearest_corner <= width + 1e-3 else 0.0) + DISTANCE
+        assert np.all(pose[:3, 3] >= np.min(corners, axis=0) - DISTANCE)  # corners are cut, not passed outside
+        assert np.all(pose[:3, 3] <= np.max(corners, axis=0) + DISTANCE)
         assert turned_by(begin[:3, :3], pose[:3, :3]) <= ANGLE
     speed = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / np.diff(times)
     at_corner = [int(np.argmin(np.linalg.norm(poses[:-1, :3, 3] - corner, axis=1))) for corner in corners[1:-1]]

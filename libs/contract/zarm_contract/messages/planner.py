@@ -174,11 +174,18 @@ class ArcGoal(ToolPathGoal):
     center: Vector3 | None = None
 
 
+Blend = Annotated[float, Field(ge=0, le=10)]
+
+
 class PathPoint(Message):
-    """A point of a path: `position` (m) in the base frame; without an `orientation` the tip keeps that of the point before."""
+    """A point of a path: `position` (m) in the base frame; without an `orientation` the tip keeps that of the point before.
+
+    `blend` (m) is that of this corner, in place of the path's.
+    """
 
     position: Vector3
     orientation: Quaternion | None = None
+    blend: Blend | None = None
 
 
 class PathGoal(ToolPathGoal):
@@ -191,7 +198,7 @@ class PathGoal(ToolPathGoal):
     kind: Literal["path"]
     points: tuple[PathPoint, ...] = Field(min_length=1, max_length=1000)
     shape: Literal["polyline", "spline"] = "polyline"
-    blend: Annotated[float, Field(ge=0, le=10)] | None = None
+    blend: Blend | None = None
 
 
 CartesianGoal = LineGoal | ArcGoal | PathGoal

@@ -8,17 +8,19 @@ from pydantic import Field
 
 from zarm_contract._model import Message
 from zarm_contract.messages.motion import Joints, Name, Scale
-from zarm_contract.messages.planner import Attempts, Goal, Margin, Timeout
+from zarm_contract.messages.planner import Attempts, Blend, Goal, Margin, Timeout
 
 
 class Move(Message):
     """Move to a goal, or along a line, an arc or a path. `name` says in answers which segment it is.
 
-    The robot, or what it carries, may touch the objects named in `touch` on the way.
+    The robot, or what it carries, may touch the objects named in `touch` on the way. A line with a `blend` (m) is left so far before its
+    end, without stopping, for the line of the next segment, which has the same options.
     """
 
     kind: Literal["move"]
     goal: Goal
+    blend: Blend = 0.0
     touch: tuple[Name, ...] = Field(default=(), max_length=32)
     name: Name | None = None
 

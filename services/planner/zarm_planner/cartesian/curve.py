@@ -207,7 +207,7 @@ def _angle(p: Array, q: Array, normal: Array) -> float:
 
 
 def _path(goal: PathGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str) -> ToolCurve:
-    points, oriented, names = [a], [begin], ["start"]
+    points, oriented, names, blends = [a], [begin], ["start"], [goal.blend]
     for number, point in enumerate(goal.points):
         there = np.array(point.position)
         turned = _oriented(goal, oriented[-1], point.orientation)
@@ -219,11 +219,13 @@ def _path(goal: PathGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str
         points.append(there)
         oriented.append(turned)
         names.append(f"points.{number}")
+        blends.append(goal.blend if point.blend is None else point.blend)
     if len(points) < 2:
         raise InvalidRequest("the path has no extent: it only names its start; add points", field=f"{field}.points")
     if goal.shape == "spline":
         return _spline(goal, np.array(points), oriented, speeds)
-    return _polyline(goal, np.array(points), oriented, speeds, [f"{field}.{name}" for name in names], field)
+    corners = _Corners(np.array(points), blends, [f"{field}.{name}" for name in names], field)
+    return _polyline(goal, corners, oriented, speeds)
 
 
 def _spline(goal: PathGoal, points: Array, oriented: Sequence[Rotation], speeds: _Speeds) -> ToolCurve:
@@ -266,41 +268,55 @@ def _smallest_turns(along: Array) -> Rotation:
     return Rotation.from_rotvec(axes * np.where(sines > 1e-12, angles / np.maximum(sines, 1e-12), 1.0))
 
 
-def _polyline(
-    goal: PathGoal, points: Array, oriented: Sequence[Rotation], speeds: _Speeds, names: Sequence[str], field: str
-) -> ToolCurve:
+@dataclass(frozen=True)
+class _Corners:
+    """The `points` (n, 3) of a polyline, how far (m) each may be left, None for the default, and their fields in the request."""
+
+    points: Array
+    blends: Sequence[float | None]
+    names: Sequence[str]
+    field: str
+
+
+def _polyline(goal: PathGoal, corners: _Corners, oriented: Sequence[Rotation], speeds: _Speeds) -> ToolCurve:
+    points = corners.points
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if goal.orienting == "tangent":
-        from_turns, vectors = _along_lines(goal, points, lengths, oriented[0], field), np.zeros((len(lengths), 3))
+        from_turns, vectors = _along_lines(corners, lengths, oriented[0]), np.zeros((len(lengths), 3))
     else:
         from_turns = Rotation.concatenate(oriented[:-1])
         vectors = (from_turns.inv() * Rotation.concatenate(oriented[1:])).as_rotvec()
     angles = np.linalg.norm(vectors, axis=1)
     steps = np.array([speeds.extent(length, angle) for length, angle in zip(lengths, angles, strict=True)])
     knots = np.insert(np.cumsum(steps), 0, 0.0)
-    half = _corners(goal, points, lengths, steps, names, field)
+    half = _rounding(corners, lengths, steps)
     matrices = from_turns.as_matrix()
     rate = np.diff(points, axis=0) / steps[:, None]
     spin = vectors / steps[:, None]
 
-    def on_line(number: NDArray[np.int64], u: Array) -> tuple[Array, Array]:
-        past = (u - knots[number])[:, None]
-        return points[number] + past * rate[number], matrices[number] @ rotated_by(past * spin[number])
+    ends = matrices @ rotated_by(vectors)
+    aside = np.zeros((len(points), 3))  # what the tip turns at each corner besides what its lines turn it
+    aside[1:-1] = Rotation.from_matrix(ends[:-1].transpose(0, 2, 1) @ matrices[1:]).as_rotvec()
 
     def at(u: Array) -> tuple[Array, Array]:
         number = np.clip(np.searchsorted(knots, u, side="right") - 1, 0, len(steps) - 1)
-        corner = number + (u - knots[number] > steps[number] / 2.0)  # the nearer end of the line
-        width = half[corner]
-        rounded = np.abs(u - knots[corner]) < width
-        before = np.where(rounded, corner - 1, number)
-        position, turned = on_line(before, u)
-        if not rounded.any():
-            return position, turned
-        then, after = on_line(np.where(rounded, corner, number), u)
-        x = np.where(rounded, (u - knots[corner]) / np.maximum(width, 1e-12) / 2.0 + 0.5, 0.0)
-        share = (x**3 * (10.0 + x * (6.0 * x - 15.0)))[:, None]
-        aside = Rotation.from_matrix(turned.transpose(0, 2, 1) @ after).as_rotvec()
-        return position + share * (then - position), turned @ rotated_by(share * aside)
+        past = (u - knots[number])[:, None]
+        position, turned = points[number] + past * rate[number], matrices[number] @ rotated_by(past * spin[number])
+        corner = number + (past[:, 0] > steps[number] / 2.0)  # the nearer end of the line
+        rounded = np.flatnonzero(np.abs(u - knots[corner]) < half[corner])
+        if len(rounded):
+            c = corner[rounded]
+            x = (u[rounded] - knots[c]) / half[c] / 2.0 + 0.5
+            before, after = ((2.0 * half[c] * _ramp(each))[:, None] for each in (1.0 - x, x))
+            position[rounded] = points[c] - before * rate[c - 1] + after * rate[c]
+            share = (x**3 * (10.0 + x * (6.0 * x - 15.0)))[:, None]
+            turned[rounded] = (
+                ends[c - 1]
+                @ rotated_by(-before * spin[c - 1])
+                @ rotated_by(share * aside[c])
+                @ rotated_by(after * spin[c])
+            )
+        return position, turned
 
     rests = [0.0, *knots[1:-1][half[1:-1] <= 0.0].tolist(), float(knots[-1])]
     edges, counts = [0.0], []
@@ -319,50 +335,60 @@ def _polyline(
     return ToolCurve(at, tuple(rests), _divided(np.array(edges), counts), *_values(speeds))
 
 
+def _ramp(x: Array) -> Array:
+    """The integral of the smooth step x^3 (10 - 15 x + 6 x^2) from 0 on: 0 at 0, and 1/2 with a slope of 1 at 1.
+
+    In a corner, the way along the line before it ends as this, and that along the line after it begins so: twice
+    continuously differentiable, and inside the corner.
+    """
+    return np.asarray(x**4 * (2.5 + x * (x - 3.0)))
+
+
 def _corner_intervals(legs: Array, turns: Array) -> int:
     """Into how many intervals a corner is divided, from the two legs (2, 3) in m and turns (2, 3) in rad that it joins."""
     bend = float(np.linalg.norm(legs[1] - legs[0])), float(np.linalg.norm(turns[1] - turns[0]))
     return int(np.clip(math.ceil(max(bend[0] / _CORNER_ERROR[0], bend[1] / _CORNER_ERROR[1])), 2, _CORNER))
 
 
-def _along_lines(goal: PathGoal, points: Array, lengths: Array, begin: Rotation, field: str) -> Rotation:
+def _along_lines(corners: _Corners, lengths: Array, begin: Rotation) -> Rotation:
     """The orientation on each line of a polyline that turns with it. Raises InvalidRequest if the tip would have to turn
     on the spot.
     """
-    if len(lengths) > 1 and (goal.blend == 0.0 or lengths.min() < _SAME):
+    if len(lengths) > 1 and (0.0 in corners.blends[1:-1] or lengths.min() < _SAME):
         raise InvalidRequest(
-            "with the tangent the tip would turn on the spot at a corner; allow a blend", field=f"{field}.blend"
+            "with the tangent the tip would turn on the spot at a corner; allow a blend", field=f"{corners.field}.blend"
         )
-    return _transported(begin, np.diff(points, axis=0))
+    return _transported(begin, np.diff(corners.points, axis=0))
 
 
-def _corners(goal: PathGoal, points: Array, lengths: Array, steps: Array, names: Sequence[str], field: str) -> Array:
+def _rounding(corners: _Corners, lengths: Array, steps: Array) -> Array:
     """How far (n,) before and after each point its corner is rounded, in the curve's parameter; 0 at both ends.
 
     Raises InvalidRequest that names the point.
     """
-    half = np.zeros(len(points))
+    points, half = corners.points, np.zeros(len(corners.points))
     for i in range(1, len(points) - 1):
-        before, after = lengths[i - 1], lengths[i]
+        before, after, blend = lengths[i - 1], lengths[i], corners.blends[i]
         if min(before, after) < _SAME:  # the tip turns on the spot
-            half[i] = 0.0 if goal.blend == 0.0 else _BLEND[1] * min(steps[i - 1], steps[i])
+            half[i] = 0.0 if blend == 0.0 else _BLEND[1] * min(steps[i - 1], steps[i])
             continue
-        distance = min(_BLEND[0], _BLEND[1] * min(before, after)) if goal.blend is None else goal.blend
+        distance = min(_BLEND[0], _BLEND[1] * min(before, after)) if blend is None else blend
         if distance == 0.0:
             continue
         cosine = float((points[i] - points[i - 1]) @ (points[i + 1] - points[i])) / (before * after)
         if cosine < _BACK:
             raise InvalidRequest(
                 "the path doubles back here; set blend to 0, so that the tip comes to rest, or end the path here",
-                field=names[i],
+                field=corners.names[i],
             )
         half[i] = distance * min(steps[i - 1] / before, steps[i] / after)
     for i in range(len(points) - 1):
         if half[i] + half[i + 1] > steps[i] * (1.0 + 1e-9):
+            largest = 1e3 * max(blend or 0.0 for blend in corners.blends[i : i + 2])
             raise InvalidRequest(
-                f"a blend of {1e3 * (goal.blend or 0.0):.1f} mm does not fit on the line of {1e3 * lengths[i]:.1f} mm to "
-                f"{names[i + 1]}; lower blend, or leave out a point",
-                field=f"{field}.blend",
+                f"a blend of {largest:.1f} mm does not fit on the line of {1e3 * lengths[i]:.1f} mm to "
+                f"{corners.names[i + 1]}; lower blend, or leave out a point",
+                field=f"{corners.field}.blend",
             )
     return half
 
