@@ -110,6 +110,7 @@ _PROGRAM = m.ProgramRequest(
     self_margin=0.02,
     seed=7,
     publish=False,
+    partial=True,
 )
 _PLANNED_SEGMENT = m.PlannedSegment(action="move", name="pick", begin=0.0, end=1.25)
 _ALONG_CURVE = {
@@ -249,6 +250,7 @@ EXAMPLES: tuple[Message, ...] = (
         tool=_TOOL_MOTION,
         segments=(_PLANNED_SEGMENT,),
         touches=(_TOUCH,),
+        problem=_PROBLEM,
         goal_deviation=(0.0, 0.0, 1.5, 0.0, 0.0, -0.01),
         selected_goal_index=1,
         clearance=0.002,

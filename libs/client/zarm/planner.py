@@ -132,6 +132,7 @@ class ProgramOptions(TypedDict, total=False):
     self_margin: float | None
     seed: int
     publish: bool
+    partial: bool
 
 
 def plan_request(goal: Goal, **options: Unpack[PlanOptions]) -> PlanRequest:

@@ -15,7 +15,7 @@ from zarm_cli.execution import demand_success, run_goal
 from zarm_cli.output import facts, out, print_json
 from zarm_contract.codec import decode
 from zarm_contract.document import Document, read_document
-from zarm_contract.errors import InvalidRequest, ZarmError
+from zarm_contract.errors import InvalidRequest, ZarmError, from_problem
 from zarm_contract.messages import ExecuteRequest, Plan, ProgramRequest
 from zarm_runtime.session import DEFAULT_ENDPOINT
 
@@ -37,15 +37,18 @@ def check(
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
-    """Plan a program and show its segments; nothing moves."""
+    """Plan a program and show its segments, those before one that fails too; nothing moves."""
     document, request = _read(file)
     at = joints(start, "--start")
     if at is not None:
         request = request.model_copy(update={"start": tuple(at)})
+    # What is not the whole program must not be the last plan, which `zarm execute` runs.
+    request = request.model_copy(update={"partial": True, "publish": False})
     with connected(connect, name) as robot:
         plan = _planned(robot, document, request)
     if as_json:
         print_json(plan)
+        _demand_whole(document, plan)
         return
     out.print(
         facts(
@@ -56,6 +59,7 @@ def check(
         )
     )
     out.print(_segments(plan))
+    _demand_whole(document, plan)
 
 
 @app.command()
@@ -86,6 +90,12 @@ def _planned(robot: Robot, document: Document, request: ProgramRequest) -> Plan:
         return robot.request_program(request)
     except ZarmError as error:
         raise _placed(document, error) from error
+
+
+def _demand_whole(document: Document, plan: Plan) -> None:
+    """Raise the problem of the segment that fails, if one does."""
+    if plan.problem is not None:
+        raise _placed(document, from_problem(plan.problem))
 
 
 def _placed(document: Document, error: ZarmError) -> ZarmError:

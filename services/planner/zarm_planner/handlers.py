@@ -15,7 +15,7 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable, ZarmError
+from zarm_contract.errors import ExecutionRefused, InvalidRequest, Problem, Unavailable, ZarmError
 from zarm_contract.messages import (
     AttachObject,
     CancelledPlan,
@@ -184,6 +184,7 @@ class Handlers:
         timings: PlanTimings,
         segments: tuple[PlannedSegment, ...] = (),
         touches: tuple[Touch, ...] = (),
+        problem: Problem | None = None,
     ) -> Plan:
         model, trajectory = self._model, verified.trajectory
         return Plan.model_construct(  # from values just verified
@@ -198,6 +199,7 @@ class Handlers:
             tool=verified.tool,
             segments=segments,
             touches=touches,
+            problem=problem,
             clearance=verified.clearance,
             too_near=verified.too_near,
             resolution=RESOLUTION,
@@ -229,13 +231,17 @@ class Handlers:
             start = within_range(self._model, self._measured() if request.start is None else request.start, "start")
             turns = whole_turns(start, self._model.continuous)
             stage = _Stage(self, request, deadline)
-            planned = plan_program(stage, start - turns, request.segments, self._planners, deadline.check)
+            planned = plan_program(
+                stage, start - turns, request.segments, self._planners, deadline.check, partial=request.partial
+            )
             return stage.revision, planned, stage.timer.timings(), turns
 
         revision, planned, timings, turns = self._scheduler.run(
             work, requester(), request.timeout or settings.timeout, request.request_id
         )
-        plan = self._reply(revision, planned.verified.shifted(turns), timings, planned.segments, planned.touches)
+        plan = self._reply(
+            revision, planned.verified.shifted(turns), timings, planned.segments, planned.touches, planned.problem
+        )
         changes = tuple(
             (at, change.model_copy(update={"joints": tuple((q + turns).tolist())})) for at, change, q in planned.changes
         )

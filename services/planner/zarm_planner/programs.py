@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_contract.errors import InvalidRequest, PlanningFailed, ZarmError
+from zarm_contract.errors import InvalidRequest, PlanningFailed, Problem, ZarmError
 from zarm_contract.messages import (
     Attach,
     AttachObject,
@@ -78,13 +78,14 @@ class Stage(Protocol):
 @dataclass(frozen=True)
 class PlannedProgram:
     """A program as one motion. `changes` say what is attached or detached at which time (s), and the joints (dof,) there;
-    `touches` where objects may be touched.
+    `touches` where objects may be touched. With a `problem` it ends before the segment that fails.
     """
 
     verified: Verified
     segments: tuple[PlannedSegment, ...]
     changes: tuple[tuple[float, SceneChange, Array], ...]
     touches: tuple[Touch, ...]
+    problem: Problem | None = None
 
 
 @dataclass
@@ -97,6 +98,10 @@ class _Progress:
     touches: list[Touch] = field(default_factory=list)
     time: float = 0.0
 
+    def kept(self) -> _Progress:
+        """What is planned now, whatever is added later."""
+        return _Progress(self.q, self.parts.copy(), self.motions.copy(), self.touches.copy(), self.time)
+
     def add(self, motion: TimedTrajectory, touch: tuple[str, ...] = ()) -> None:
         if touch:
             self.touches.append(Touch(objects=touch, begin=self.time, end=self.time + motion.duration))
@@ -106,13 +111,21 @@ class _Progress:
 
 
 def plan_program(
-    stage: Stage, start: Array, segments: Sequence[Segment], planners: Sequence[Planner], check: Callable[[], None]
+    stage: Stage,
+    start: Array,
+    segments: Sequence[Segment],
+    planners: Sequence[Planner],
+    check: Callable[[], None],
+    *,
+    partial: bool = False,
 ) -> PlannedProgram:
     """The motion of a program from the joints `start` (dof,).
 
-    Raises the error of the first segment that fails, which its message and field name; `check` may raise the deadline's.
+    Raises the error of the first segment that fails, which its message and field name, unless the `partial` motion before it
+    is wanted and there is one; `check` may raise the deadline's.
     """
-    done, planned, changes = _Progress(start), [], []
+    done, changes = _Progress(start), []
+    planned: list[PlannedSegment] = []
     scales: Scales = (None, None)
     # By the motion before: while it stands, the robot may still touch that, and what it may touch next.
     touched: tuple[str, ...] = ()
@@ -121,6 +134,7 @@ def plan_program(
         if passed:
             passed -= 1
             continue
+        whole = done.kept()
         begin, standing = done.time, tuple({*touched, *_touch_after(segments[number + 1 :])})
         together: Sequence[Segment] = (segment,)
         check()
@@ -143,7 +157,10 @@ def plan_program(
                     changes.append((done.time, change, done.q))
                     done.add(TimedTrajectory.standing(done.q, CHANGE_S), standing)
         except ZarmError as error:
-            raise _of_segment(error, number, segment, blended=len(together) > 1) from error
+            failure = _of_segment(error, number, segment, blended=len(together) > 1)
+            if not partial or not whole.parts:
+                raise failure from error
+            return PlannedProgram(_whole(whole), tuple(planned), tuple(changes), tuple(whole.touches), failure.problem)
         passed = len(together) - 1
         ends = [*_passing_times(stage, done, begin, together), done.time]
         for one, (first, last) in zip(together, itertools.pairwise([begin, *ends]), strict=True):

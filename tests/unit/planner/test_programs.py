@@ -295,6 +295,21 @@ def test_segment_that_fails_is_named(
     assert failed.value.problem.field == field  # type: ignore[attr-defined]
 
 
+def test_what_came_before_a_segment_that_fails_is_kept_on_request(handlers: Handlers) -> None:
+    segments = (
+        move(line(0.0, 0.1, 0.0), "first"),
+        Wait(kind="wait", duration=1.0),
+        move(pose_goal(5.0, 0.0, 0.0), "far"),
+    )
+    plan, _ = handlers.program(ProgramRequest(segments=segments, partial=True))
+    assert plan.problem is not None
+    assert plan.problem.field == "segments.2.goal"
+    assert [segment.action for segment in plan.segments] == ["move", "wait"]
+    assert tip_at(plan, plan.trajectory.duration)[:3, 3] == pytest.approx(at(0.0, 0.1, 0.0), abs=1e-5)
+    with pytest.raises(PlanningFailed):
+        handlers.program(ProgramRequest(segments=segments[2:], partial=True))
+
+
 def test_approach_that_cannot_be_followed_says_so_without_a_segment(handlers: Handlers) -> None:
     goal = pose_goal(0.0, 0.3, 0.0, approach=Offset(distance=2.0, direction=(0.0, 0.0, 1.0)))
     with pytest.raises(PlanningFailed) as failed:

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator
 
 from zarm_contract._model import Message, ShortMessage
+from zarm_contract.errors import Problem
 from zarm_contract.messages.motion import (
     Joints,
     Name,
@@ -338,7 +339,8 @@ class Plan(Message):
     says which pose of a pose goal that is: 0 is its own, k its k-th alternative. With waypoints it belongs to the last one.
     It is left out if the motion ends at a joint goal. `goal_deviation` says how a goal's tolerance is used: the components
     `[theta_x, theta_y, theta_z, x, y, z]` (rad, m) by which the end is off that pose, see `PoseTolerance`. `tool` is given for lines,
-    arcs and paths, `segments` for programs, and `touches` where objects may be touched: `clearance` does not count these there.
+    arcs and paths, `segments` for programs, and `touches` where objects may be touched: `clearance` does not count these there. With a
+    `problem` it is the part of a program before the segment that fails, see `ProgramRequest`.
     """
 
     plan_id: Name
@@ -352,6 +354,7 @@ class Plan(Message):
     tool: ToolMotion | None = None
     segments: tuple[PlannedSegment, ...] = ()
     touches: tuple[Touch, ...] = ()
+    problem: Problem | None = None
     clearance: float
     too_near: tuple[TooNear, ...] = ()
     resolution: Positive

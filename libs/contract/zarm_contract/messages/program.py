@@ -68,7 +68,8 @@ class ProgramRequest(Message):
     """Plan `segments` one after the other, as one motion that rests between them, from `start` (rad; default: the measured joints).
 
     The configuration in which a segment ends is chosen so that the lines, arcs and paths after it can be followed. The other fields
-    are those of `PlanRequest`, for every segment; `timeout` (s) is the deadline of the whole program.
+    are those of `PlanRequest`, for every segment; `timeout` (s) is the deadline of the whole program. With `partial` a program of which a
+    segment fails is answered with the plan of the segments before it, if they move the robot; its `problem` names the one that fails.
     """
 
     segments: tuple[Segment, ...] = Field(min_length=1, max_length=200)
@@ -82,3 +83,4 @@ class ProgramRequest(Message):
     self_margin: Margin | None = None
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     publish: bool = True
+    partial: bool = False
