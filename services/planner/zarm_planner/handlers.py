@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import logging
-import operator
 import os
 import secrets
 import threading
-from collections.abc import Callable, Collection, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 
 import numpy as np
@@ -40,19 +37,17 @@ from zarm_contract.messages import (
     ProgramRequest,
     Scene,
     SceneEdit,
-    SceneObject,
     SceneRevision,
     SetLinkCollision,
     SettingsChange,
     Touch,
     Vector3,
 )
-from zarm_geometry.exact import RESOLUTION, ExactScene
+from zarm_geometry.exact import RESOLUTION
 from zarm_geometry.frames import matrix, pose_of
 from zarm_geometry.occupancy import reached_cells
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.sphere_distances import sphere_distances
-from zarm_geometry.world import World
 from zarm_planner.constraints.path_constraint import constrains
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
@@ -63,13 +58,12 @@ from zarm_planner.kinematics.pose_region import PoseRegion
 from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.base import Planner
 from zarm_planner.planners.registry import AUTO, PLANNERS, check_name, choose, names_of
-from zarm_planner.programs import PlannedProgram, Scales, SceneChange, of_only_segment, plan_program, with_ways
-from zarm_planner.scene.attached_objects import attach, detach
-from zarm_planner.scene.moved_objects import MovedObjects
-from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_planner.program_stage import ProgramStage
+from zarm_planner.programs import PlannedProgram, SceneChange, of_only_segment, plan_program, with_ways
+from zarm_planner.scene.attached_objects import check_attach, check_links
+from zarm_planner.scene.scene_cache import SceneCache
 from zarm_planner.scene.store import SceneStore
 from zarm_planner.scheduler import Scheduler
-from zarm_planner.stage_timer import StageTimer
 from zarm_planner.warm_up import warm_up
 from zarm_runtime.requester import requester
 from zarm_trajectory.limits import Limits
@@ -80,8 +74,6 @@ log = logging.getLogger(__name__)
 
 ChangeAt = tuple[float, SceneChange]
 """What a program attaches or detaches at which time (s)."""
-_CARRIERS = 8
-"""Robots with different loads that are kept ready; to make one ready takes some 50 ms."""
 _BATCH_TIMEOUT = 60.0
 """Time limit (s) for a batch of kinematics or checks."""
 
@@ -114,21 +106,15 @@ class Handlers:
         self._limits = lru_cache(maxsize=16)(
             partial(Limits.of, model.robot)
         )  # by the scales of velocity and acceleration
-        self.moved = MovedObjects(lambda: store.scene)
-        # The robot with what it carries and the links that are ignored, for the latest of those.
-        self._carriers = lru_cache(maxsize=_CARRIERS)(model.with_attached)
-        # Scenes ready for planning with their objects in place: those of the latest plan and of the latest edit.
-        self._ready: _Ready | None = None
-        self._edited: _Ready | None = None
-        self._world: World | None = None  # the newest world; the next one reuses its unchanged parts
+        self.scenes = SceneCache(model, store)
 
     def warm_up(self, report: Callable[[str], None]) -> None:
         """Compile or load the kernels used by plans; `report` is told what comes next."""
         warm_up(self._model, report)
         report("loading the scene")
-        self._prepare(self._store.scene)
+        self.scenes.prepare(self._store.scene)
         try:
-            self._planning_scene()
+            self.scenes.present(self._settings.margin)
         except Unavailable as error:  # every plan will report this until the scene is edited
             log.error("scene cannot be used reason=%s", error)
 
@@ -159,7 +145,7 @@ class Handlers:
             given = request.self_margin
             self_margin = model.robot.descriptor.self_margin if given is None else given
             context = PlanningContext(
-                scene=self._planning_scene(request.margin, self_margin),
+                scene=self.scenes.present(settings.margin if request.margin is None else request.margin, self_margin),
                 limits=limits,
                 deadline=deadline,
                 path_constraint=request.path_constraint,
@@ -230,7 +216,7 @@ class Handlers:
         def work(deadline: Deadline) -> tuple[SceneRevision, PlannedProgram, PlanTimings, Array]:
             start = within_range(self._model, self._measured() if request.start is None else request.start, "start")
             turns = whole_turns(start, self._model.continuous)
-            stage = _Stage(self, request, deadline)
+            stage = ProgramStage(self._model, self._store, self.scenes, self._limits, settings, request, deadline)
             planned = plan_program(
                 stage, start - turns, request.segments, self._planners, deadline.check, partial=request.partial
             )
@@ -275,7 +261,7 @@ class Handlers:
         poses = np.array([matrix(pose.position, pose.orientation) for pose in request.poses])
 
         def work(deadline: Deadline) -> IkSolutions:
-            scene = self._planning_scene()
+            scene = self.scenes.present(self._settings.margin)
             turns = whole_turns(near, model.continuous)
             batch: Callable[..., list[Array]] = partial(batch_ik, scene.model, poses)
             if request.tolerance is not None or request.tip is not None:
@@ -311,7 +297,7 @@ class Handlers:
             joints = [checked(model, q, f"joints.{i}") for i, q in enumerate(request.joints)]
 
         def work(deadline: Deadline) -> CheckResults:
-            scene, results = self._planning_scene(), []
+            scene, results = self.scenes.present(self._settings.margin), []
             for q in joints:
                 deadline.check()
                 nearest = scene.exact.nearest(q, deadline.check)
@@ -335,7 +321,7 @@ class Handlers:
         """The cells of a grid that the scene's objects reach into. Raises InvalidRequest if there are too many."""
 
         def work(deadline: Deadline) -> Occupancy:
-            scene = self._planning_scene()
+            scene = self.scenes.present(self._settings.margin)
             cells = reached_cells(scene.world, request.resolution, deadline.check)
             return Occupancy.model_construct(  # its cells were just counted, and validation is slower
                 scene_revision=scene.revision,
@@ -353,32 +339,19 @@ class Handlers:
         """
         match request.edit:
             case SetLinkCollision(names=names, enabled=enabled):
-                self._check_links(names, "edit.names")
+                check_links(self._model.links, names, "edit.names")
                 if not enabled and {*self._model.links} <= {*names, *self._store.scene.ignored_links}:
                     raise InvalidRequest(
                         "this would turn off collision checking for every link; keep at least one",
                         field="edit.names",
                     )
             case AttachObject(name=name, touch_links=touch_links):
-                self._check_attach(name, touch_links)
+                check_attach(self._model.links, name, touch_links, "edit")
         if not isinstance(request.edit, AttachObject | DetachObject):
-            return self._store.edit(request, prepare=self._prepare)
+            return self._store.edit(request, prepare=self.scenes.prepare)
         given = request.edit.joints
         q = self._measured() if given is None else checked(self._model, given, "edit.joints")
-        return self._store.edit(request, self._model.fk_tip(q), self._prepare)
-
-    def _check_attach(self, name: str, touch_links: tuple[str, ...]) -> None:
-        self._check_links(touch_links, "edit.touch_links")
-        if name in self._model.links:
-            raise InvalidRequest(f"{name} is a link of the robot; add the object under another name", field="edit.name")
-
-    def _check_links(self, names: tuple[str, ...], field: str) -> None:
-        links = self._model.links
-        for i, name in enumerate(names):
-            if name not in links:
-                raise InvalidRequest(
-                    f"{name} is not a link with collision geometry; those are {', '.join(links)}", field=f"{field}.{i}"
-                )
+        return self._store.edit(request, self._model.fk_tip(q), self.scenes.prepare)
 
     def planners(self) -> Planners:
         """The planners that a request may name."""
@@ -392,122 +365,11 @@ class Handlers:
             self._settings = self._settings.model_copy(update=change.model_dump(exclude_none=True))
             return self._settings
 
-    def _prepare(self, scene: Scene) -> None:
-        """Prepare for an edited scene before it takes effect, so that no plan waits for it."""
-        self._with(scene).with_self_margin(0.0)  # measures the clearance between its links, once for all margins
-        with suppress(Unavailable):  # a mesh file is missing; every plan will report that
-            self._edited = self._made_ready(scene, self.moved.objects_to_be(scene))
-
-    def _planning_scene(self, margin: float | None = None, self_margin: float = 0.0) -> PlanningScene:
-        """The present scene with a margin (m, by default that of the settings) and a self margin (m), prepared once per
-        revision and poses of moving objects.
-
-        Raises Unavailable while the file of one of its meshes is missing.
-        """
-        with self._lock:
-            scene, kept = self._store.scene, self._settings.margin if margin is None else margin
-            objects = self.moved.objects(scene)
-            known = (
-                ready for ready in (self._ready, self._edited) if ready is not None and ready.holds(scene, objects)
-            )
-            ready = self._ready = next(known, None) or self._made_ready(scene, objects)
-        return ready.with_margins(kept, self_margin)
-
-    def _made_ready(self, scene: Scene, objects: tuple[SceneObject, ...]) -> _Ready:
-        """A scene with its `objects` in place, reusing unchanged parts of the last world. Raises Unavailable."""
-        model = self._with(scene)
-        world = self._world = World(objects, 0.0, self._store.meshes, self._world)
-        prepared = PlanningScene(scene.revision, model, world, ExactScene(model, world))
-        return _Ready(objects, prepared, prepared)
-
-    def _with(self, scene: Scene) -> RobotModel:
-        """The robot with what it carries in a scene."""
-        return self._carriers(scene.attached, scene.ignored_links)
-
     def _measured_or_home(self) -> Array:
         try:
             return self._measured()
         except ExecutionRefused:
             return np.array(self._model.robot.descriptor.home)
-
-
-class _Stage:
-    """The surroundings of a program's segments: the scene as the program has changed it."""
-
-    def __init__(self, handlers: Handlers, request: ProgramRequest, deadline: Deadline) -> None:
-        self._handlers, self._request, self._deadline = handlers, request, deadline
-        self._scene = handlers._store.scene
-        self.revision = self._scene.revision
-        self.timer = StageTimer()
-        self._changed: _Ready | None = None
-
-    def context(self, scales: Scales, touch: Collection[str] = ()) -> PlanningContext:
-        """See `programs.Stage`."""
-        request, handlers = self._request, self._handlers
-        settings, given = handlers._settings, request.self_margin
-        self_margin = handlers._model.robot.descriptor.self_margin if given is None else given
-        margin = settings.margin if request.margin is None else request.margin
-        if touch:
-            scene = self._without(touch).with_margins(margin, self_margin)
-        elif self._changed is None:
-            scene = handlers._planning_scene(request.margin, self_margin)
-        else:
-            scene = self._changed.with_margins(margin, self_margin)
-        limits = handlers._limits(
-            scales[0] or request.velocity_scale or settings.velocity_scale,
-            scales[1] or request.acceleration_scale or settings.acceleration_scale,
-        )
-        return PlanningContext(
-            scene=scene,
-            limits=limits,
-            deadline=self._deadline,
-            max_attempts=request.max_attempts or settings.max_attempts,
-            seed=request.seed,
-            timer=self.timer,
-        )
-
-    def _without(self, names: Collection[str]) -> _Ready:
-        """The scene without some of its objects."""
-        objects = self._handlers.moved.objects(self._scene)
-        if missing := set(names) - {item.name for item in objects}:
-            raise InvalidRequest(
-                f"there is no object {', '.join(sorted(missing))} in the scene to touch; the scene holds "
-                f"{', '.join(item.name for item in objects) or 'none'}",
-                field="touch",
-            )
-        return self._handlers._made_ready(self._scene, tuple(item for item in objects if item.name not in names))
-
-    def change(self, change: SceneChange, q: Array) -> None:
-        """See `programs.Stage`."""
-        handlers = self._handlers
-        tip = handlers._model.fk_tip(q)
-        if isinstance(change, AttachObject):
-            handlers._check_attach(change.name, change.touch_links)
-            self._scene = attach(self._scene, change, tip, handlers._store.meshes)
-        else:
-            self._scene = detach(self._scene, change, tip)
-        self._changed = handlers._made_ready(self._scene, handlers.moved.objects(self._scene))
-
-
-@dataclass
-class _Ready:
-    """A scene without margins, with its objects in place; and the same scene with the margins `used` last."""
-
-    objects: tuple[SceneObject, ...]
-    scene: PlanningScene
-    used: PlanningScene
-
-    def with_margins(self, margin: float, self_margin: float) -> PlanningScene:
-        """The scene with a margin to objects and one between the robot's links (m)."""
-        used = self.used
-        if used.world.margin != margin or used.self_margin != self_margin:
-            used = self.used = self.scene.with_margin(margin).with_self_margin(self_margin)
-        return used
-
-    def holds(self, scene: Scene, objects: tuple[SceneObject, ...]) -> bool:
-        """Whether it belongs to this scene with exactly these objects."""
-        same = len(objects) == len(self.objects) and all(map(operator.is_, objects, self.objects))
-        return same and scene.revision == self.scene.revision
 
 
 def _two(points: NDArray[np.float64]) -> tuple[Vector3, Vector3]:

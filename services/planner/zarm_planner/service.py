@@ -128,7 +128,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
 
     try:
         program_changes = ProgramChanges(_serve_scene(service, store.scene, handlers.edit, store.notes))
-        bus.subscribe(keys.object_pose("*"), handlers.moved.receive)
+        bus.subscribe(keys.object_pose("*"), handlers.scenes.moved.receive)
         bus.serve(keys.settings, change_settings, workers=1)
         bus.latched(keys.planners).set(handlers.planners())
         bus.serve(keys.plan_cancel, handlers.cancel)

@@ -219,7 +219,7 @@ def test_an_edit_makes_ready_what_it_attaches(planner: Handlers) -> None:
     """The room between it and the links is measured before the edit holds, so that no plan waits for that."""
     planner.edit(add(BOX))
     planner.edit(SceneEdit(edit=AttachObject(op="attach", name="box", joints=tuple(UP.tolist()))))
-    carrier = planner._planning_scene().exact.model
+    carrier = planner.scenes.present(0.005).exact.model
     assert "box" in carrier.links
     assert "pair_room" in vars(carrier)
 

@@ -131,8 +131,8 @@ def test_a_moved_object_is_where_it_was_told_to_be_after_another_edit_too(planne
 
 def test_each_request_gets_the_scene_with_its_own_margins(planner: Handlers) -> None:
     asked = [(0.01, 0.0), (0.02, 0.0), (0.02, 0.03), (0.01, 0.0)]
-    found = [planner._planning_scene(*margins) for margins in asked]
+    found = [planner.scenes.present(*margins) for margins in asked]
     assert [(scene.world.margin, scene.self_margin) for scene in found] == asked
     assert [float(scene.world.arrays.margin) for scene in found] == [margin for margin, _ in asked]
     assert [bool(scene.model.arrays.apart.any()) for scene in found] == [False, False, True, False]
-    assert planner._planning_scene(*asked[-1]) is found[-1]
+    assert planner.scenes.present(*asked[-1]) is found[-1]

@@ -63,6 +63,22 @@ def detach(scene: Scene, edit: DetachObject, tip: Array) -> Scene:
     return scene.model_copy(update={"objects": (*scene.objects, item), "attached": tuple(attached.values())})
 
 
+def check_attach(links: tuple[str, ...], name: str, touch_links: tuple[str, ...], field: str) -> None:
+    """Raises InvalidRequest for links that the robot lacks, and for an object that is called like one of its `links`."""
+    check_links(links, touch_links, f"{field}.touch_links")
+    if name in links:
+        raise InvalidRequest(f"{name} is a link of the robot; add the object under another name", field=f"{field}.name")
+
+
+def check_links(links: tuple[str, ...], names: tuple[str, ...], field: str) -> None:
+    """Raises InvalidRequest for a name that is none of the `links` with collision geometry."""
+    for i, name in enumerate(names):
+        if name not in links:
+            raise InvalidRequest(
+                f"{name} is not a link with collision geometry; those are {', '.join(links)}", field=f"{field}.{i}"
+            )
+
+
 def set_links(scene: Scene, edit: SetLinkCollision) -> Scene:
     """The scene with collisions of these links checked or ignored; no effect on links already in that state."""
     if edit.enabled:
