@@ -25,8 +25,8 @@ from zarm_contract.messages import (
 )
 from zarm_geometry import box_tree
 from zarm_geometry.robot_model import RobotModel
-from zarm_planner import handlers
 from zarm_planner.handlers import Handlers
+from zarm_planner.scene import scene_cache
 from zarm_planner.scene.store import SceneStore
 
 JOINTS = (0.0, 0.3, 0.4, 0.1)
@@ -58,12 +58,12 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many objects each world has that was made since."""
     counts: list[int] = []
 
-    class Counted(handlers.World):
+    class Counted(scene_cache.World):
         def __init__(self, objects: object, *rest: object) -> None:
             counts.append(len(objects))  # type: ignore[arg-type]
             super().__init__(objects, *rest)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(handlers, "World", Counted)
+    monkeypatch.setattr(scene_cache, "World", Counted)
     return counts
 
 
@@ -109,7 +109,7 @@ def test_what_is_put_down_is_ready_too(planner: Handlers, made: list[int]) -> No
 def test_of_a_scene_only_what_changed_is_built_anew(planner: Handlers, split: list[int]) -> None:
     planner.edit(SceneEdit(edit=EDITS["add"]))
     assert split == [2]  # the two boxes, not the cloud
-    planner.moved.receive(
+    planner.scenes.moved.receive(
         "zarm/small_arm/scene/object/box/pose", ObjectPose(stamp=1.0, position=(0.5, 0.0, 0.5), speed=0.0)
     )
     nearest(planner)
@@ -118,7 +118,7 @@ def test_of_a_scene_only_what_changed_is_built_anew(planner: Handlers, split: li
 
 def test_a_moved_object_is_where_it_was_told_to_be_after_another_edit_too(planner: Handlers, made: list[int]) -> None:
     far = nearest(planner)
-    planner.moved.receive(
+    planner.scenes.moved.receive(
         "zarm/small_arm/scene/object/box/pose", ObjectPose(stamp=1.0, position=(0.1, 0.0, 0.6), speed=0.0)
     )
     near = nearest(planner)
