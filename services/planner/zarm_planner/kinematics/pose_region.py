@@ -28,7 +28,7 @@ _COMPONENTS = (*POSE_COMPONENTS, "the distance")
 _ROUNDING = 2e-6
 """Rad and m of each tolerance that are left for rounding."""
 _SEEDS = 500
-"""Most descents for a goal. Of 10,000 points each that an SO-101, an arm with 4 joints, and an M1013 with a free axis can
+"""Most descents for a goal. Of 3,000 points each that an SO-101, an arm with 4 joints, and an M1013 with a free axis can
 reach, all are solved.
 """
 _PROBES = 100

@@ -202,11 +202,11 @@ def fastest_along(
     pieces = np.maximum(least, np.ceil(np.diff(curve.time) / step)).astype(int)
     s = np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), curve.time)
     used = Averaging.of(total_ways(curve.position), limits.rates, _SHORTEST * dt)
-    velocity, acceleration = _constraints(tuple(used.velocity), tuple(used.acceleration))
-    if cap is not None:
-        velocity = CappedVelocityConstraint(used.velocity, cap)
+    velocity = (
+        _velocity_constraint(tuple(used.velocity)) if cap is None else CappedVelocityConstraint(used.velocity, cap)
+    )
     toppra = TOPPRA(
-        [velocity, acceleration],
+        [velocity, _acceleration_constraint(tuple(used.acceleration))],
         _ToppraPath(curve),
         gridpoints=s,
         solver_wrapper="seidel",
@@ -220,11 +220,19 @@ def fastest_along(
 
 
 @lru_cache(maxsize=16)
-def _constraints(velocity: tuple[float, ...], acceleration: tuple[float, ...]) -> list[Any]:
-    """The limits on velocity and acceleration for TOPPRA, which needs 0.5 ms to make them."""
-    from zarm_planner.timing.toppra_without_plots import JointAccelerationConstraint, JointVelocityConstraint
+def _velocity_constraint(velocity: tuple[float, ...]) -> Any:
+    """The limits on velocity for TOPPRA, which needs 0.3 ms to make them."""
+    from zarm_planner.timing.toppra_without_plots import JointVelocityConstraint
 
-    return [JointVelocityConstraint(velocity), JointAccelerationConstraint(acceleration)]
+    return JointVelocityConstraint(velocity)
+
+
+@lru_cache(maxsize=16)
+def _acceleration_constraint(acceleration: tuple[float, ...]) -> Any:
+    """The limits on acceleration for TOPPRA, which needs 0.3 ms to make them."""
+    from zarm_planner.timing.toppra_without_plots import JointAccelerationConstraint
+
+    return JointAccelerationConstraint(acceleration)
 
 
 def joined(trajectories: Sequence[TimedTrajectory]) -> TimedTrajectory:
