@@ -103,13 +103,7 @@ def _placed(document: Document, error: ZarmError) -> ZarmError:
     problem = error.problem
     if problem.field is None:
         return error
-    return type(error)(
-        f"{document.place(problem.field)}: {problem.message}",
-        code=problem.code,
-        field=problem.field,
-        joint=problem.joint,
-        fraction=problem.fraction,
-    )
+    return from_problem(problem.model_copy(update={"message": f"{document.place(problem.field)}: {problem.message}"}))
 
 
 def _segments(plan: Plan) -> Table:

@@ -127,9 +127,9 @@ class Handlers:
         settings, model = self._settings, self._model
         if self._store.lost is not None:
             raise Unavailable(self._store.lost)
+        planner = self._choose(request)
         if with_ways(request.goal):
             return self._with_ways(request)
-        planner = self._choose(request)
 
         def work(deadline: Deadline) -> tuple[SceneRevision, Verified, PlanTimings]:
             limits = self._limits(

@@ -23,7 +23,8 @@ class ProgramChanges:
     def __init__(self, edit: Callable[[SceneEdit], SceneEdited]) -> None:
         self._edit = edit
         self._programs: OrderedDict[str, tuple[float, tuple[ChangeAt, ...]]] = OrderedDict()
-        self._made: dict[str, int] = {}  # how many changes each running goal has made
+        # How many changes each goal has made: its last state may arrive again, and must change nothing then.
+        self._made: OrderedDict[str, int] = OrderedDict()
         self._lock = threading.Lock()
 
     def remember(self, plan_id: str, duration: float, changes: Sequence[ChangeAt]) -> None:
@@ -44,8 +45,8 @@ class ProgramChanges:
             made = self._made.get(goal.goal_id, 0)
             due = [change for at, change in changes if at <= goal.progress * duration + 1e-6][made:]
             self._made[goal.goal_id] = made + len(due)
-            if goal.done:
-                del self._made[goal.goal_id]
+            if len(self._made) > _REMEMBERED:
+                self._made.popitem(last=False)
             for change in due:
                 try:
                     self._edit(SceneEdit(edit=change))

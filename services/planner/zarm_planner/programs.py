@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_contract.errors import InvalidRequest, PlanningFailed, Problem, ZarmError
+from zarm_contract.errors import InvalidRequest, PlanningFailed, Problem, ZarmError, from_problem
 from zarm_contract.messages import (
     Attach,
     AttachObject,
@@ -40,6 +40,7 @@ from zarm_geometry.frames import pose_of
 from zarm_planner.cartesian.following import Following
 from zarm_planner.cartesian.task import ToolTask
 from zarm_planner.context import PlanningContext
+from zarm_planner.goals.ends import goal_deviation
 from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.kinematics.pose_region import tip_frame
 from zarm_planner.pipeline import Verified, plan
@@ -282,7 +283,9 @@ class _Motions:
             except PlanningFailed as error:
                 failure = failure or error
                 continue
-            motions[-1] = replace(motions[-1], goal_pose=end.pose)
+            at = motions[-2 if goal.retreat is not None else -1].trajectory.end
+            off = goal_deviation(near, bare, end.pose, at)
+            motions[-1] = replace(motions[-1], goal_pose=end.pose, deviation=off)
             yield motions[0], self.touch
             yield from ((motion, at_pose) for motion in motions[1:])
             return
@@ -369,19 +372,13 @@ def _of_segment(error: ZarmError, number: int, segment: Segment, *, blended: boo
     if blended and where is not None:
         where = re.sub(r"^goal\.points\.\d+", "goal.position", where) if where != "goal.blend" else "blend"
     at = f"segments.{number}" + (f".{where.removeprefix('edit.')}" if where and where != "start" else "")
-    return type(error)(
-        f"{called}: {problem.message}", code=problem.code, field=at, joint=problem.joint, fraction=problem.fraction
-    )
+    return from_problem(problem.model_copy(update={"message": f"{called}: {problem.message}", "field": at}))
 
 
 def of_only_segment(error: ZarmError) -> ZarmError:
     """The error of a program's only segment, without the segment's number."""
     problem = error.problem
     field = None if problem.field is None else problem.field.removeprefix("segments.0").removeprefix(".") or None
-    return type(error)(
-        problem.message.removeprefix("segment 0: "),
-        code=problem.code,
-        field=field,
-        joint=problem.joint,
-        fraction=problem.fraction,
+    return from_problem(
+        problem.model_copy(update={"message": problem.message.removeprefix("segment 0: "), "field": field})
     )

@@ -12,8 +12,11 @@ from zarm_contract.errors import InvalidRequest, PlanningFailed
 from zarm_contract.messages import (
     AddObjects,
     Attach,
+    AttachObject,
     Cuboid,
     Detach,
+    DetachObject,
+    GoalState,
     JointGoal,
     LineGoal,
     Move,
@@ -24,6 +27,7 @@ from zarm_contract.messages import (
     PoseTolerance,
     ProgramRequest,
     SceneEdit,
+    SceneEdited,
     Segment,
     SpeedChange,
     Wait,
@@ -35,6 +39,7 @@ from zarm_geometry.frames import pose_of
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_planner.handlers import ChangeAt, Handlers
+from zarm_planner.program_changes import ProgramChanges
 from zarm_planner.scene.store import SceneStore
 
 ROBOT = load_robot("doosan_m1013")
@@ -181,6 +186,37 @@ def test_what_is_attached_goes_along_and_is_left_where_it_is_detached(handlers: 
         scene = handlers.edit(SceneEdit(edit=change))
     (left,) = scene.objects
     assert left.position == pytest.approx(at(0.0, -0.2, -0.12), abs=1e-3)
+
+
+def test_answer_to_an_approach_says_which_pose_was_chosen(handlers: Handlers) -> None:
+    ways = {side: Offset(distance=0.05, direction=(0.0, 0.0, 1.0), frame="base") for side in ("approach", "retreat")}
+    loose = PoseTolerance(orientation=(0.0, 0.0, "free"), position=(0.01, 0.01, 0.0))
+    plan = handlers.plan(PlanRequest(start=HOME, goal=pose_goal(0.0, 0.3, 0.0, tolerance=loose, **ways)))
+    assert plan.goal_deviation is not None
+    assert all(abs(off) <= 0.01 for off in plan.goal_deviation[3:])
+    with pytest.raises(InvalidRequest, match="no planner fancy"):
+        handlers.plan(PlanRequest(start=HOME, planner="fancy", goal=pose_goal(0.0, 0.3, 0.0, **ways)))
+
+
+def test_last_state_of_a_goal_that_arrives_again_changes_nothing() -> None:
+    made: list[str] = []
+
+    def edit(asked: SceneEdit) -> SceneEdited:
+        made.append(asked.edit.op)
+        return SceneEdited(revision="1-000000000000", count=0)
+
+    changes = ProgramChanges(edit)
+    attach = AttachObject(op="attach", name="part", joints=HOME)
+    changes.remember("p", 2.0, ((0.5, attach), (1.5, DetachObject(op="detach", name="part", joints=HOME))))
+    state = GoalState(
+        goal_id="g", plan_id="p", status="running", progress=0.3, elapsed=0.6, duration=2.0, joint_command=HOME
+    )
+    ended = state.model_copy(update={"status": "succeeded", "progress": 1.0})
+    for each in (state, state, ended, ended):
+        changes.receive("", each)
+    assert made == ["attach", "detach"]
+    changes.receive("", ended.model_copy(update={"goal_id": "other", "duration": 3.0}))  # replanned
+    assert made == ["attach", "detach"]
 
 
 def test_named_objects_may_be_touched_on_the_approach_and_nowhere_else(handlers: Handlers) -> None:

@@ -338,7 +338,7 @@ class Plan(Message):
     passed. `path_length` is the length in joint space (rad, Euclidean). `tip` is the pose at the end. `selected_goal_index`
     says which pose of a pose goal that is: 0 is its own, k its k-th alternative. With waypoints it belongs to the last one.
     It is left out if the motion ends at a joint goal. `goal_deviation` says how a goal's tolerance is used: the components
-    `[theta_x, theta_y, theta_z, x, y, z]` (rad, m) by which the end is off that pose, see `PoseTolerance`. `tool` is given for lines,
+    `[theta_x, theta_y, theta_z, x, y, z]` (rad, m) by which the tip is off that pose, see `PoseTolerance`. `tool` is given for lines,
     arcs and paths, `segments` for programs, and `touches` where objects may be touched: `clearance` does not count these there. With a
     `problem` it is the part of a program before the segment that fails, see `ProgramRequest`.
     """

@@ -48,7 +48,7 @@ class ToolCurve:
     """A curve of poses in the base frame, from 0 to `end`; the tip rests at `rests`, both ends included.
 
     `stations` are parameters at which it is solved. `speed` (m/s), `acceleration` (m/s^2) and `rotational_speed` (rad/s)
-    bound the motion along it. By a step 1 of the parameter the tip moves about as far as in 1 / `speed` s.
+    bound the motion along it. The parameter grows by `speed` per second while the tip moves, or turns, as fast as it may.
     """
 
     at: _Poses

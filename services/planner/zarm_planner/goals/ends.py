@@ -298,6 +298,13 @@ class _Region:
 def _freeing(context: PlanningContext, region: PoseRegion, near: Array) -> str | None:
     """The remedy that names the components to free, one of which is enough; or all of the orientation."""
     names = region.blocking(near, context.seed, context.deadline)
+    if (
+        not names
+        and region.with_any_turn.solve(near, world=None, max_solutions=1, seed=context.seed, deadline=context.deadline)[
+            0
+        ].solutions.size
+    ):
+        return "it can be reached with theta_x, theta_y and theta_z free, see goal.tolerance"
     return f"it can be reached with {' or '.join(names)} free, see goal.tolerance" if names else None
 
 

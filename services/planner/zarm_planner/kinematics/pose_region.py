@@ -143,6 +143,13 @@ class PoseRegion:
                 )
         return " and ".join(phrases)
 
+    @property
+    def with_any_turn(self) -> PoseRegion:
+        """The same positions with any orientation."""
+        tolerance = self.arrays.tolerance.copy()
+        tolerance[0, :3] = np.inf
+        return replace(self, arrays=self.arrays._replace(tolerance=tolerance))
+
     def blocking(self, near: Array, seed: int, deadline: Deadline) -> tuple[str, ...]:
         """The components that keep the goal from being reached: each of them, free, would do. None if it takes more
         than one.
