@@ -113,15 +113,27 @@ def test_speed_change_slows_what_comes_after_it(handlers: Handlers) -> None:
     assert last > 2 * first
 
 
-def test_branch_is_chosen_so_that_the_line_after_it_can_be_followed(handlers: Handlers) -> None:
-    """Many configurations of the free turn reach the pose, and from few of them the line reaches its end."""
-    start = pose_goal(-0.1, 0.2, 0.0, tolerance=PoseTolerance(orientation=("free", "free", "free")))
-    plan, _ = planned(handlers, move(start), move(line(0.25, 0.2, 0.0)))
-    end = plan.segments[0].end
-    assert tip_at(plan, end)[:3, 3] == pytest.approx(at(-0.1, 0.2, 0.0), abs=1e-5)
-    for share in (0.25, 0.5, 0.75):
-        tip = tip_at(plan, end + share * (plan.trajectory.duration - end))
-        assert tip[1:3, 3] == pytest.approx(at(0.0, 0.2, 0.0)[1:], abs=2e-4)
+@pytest.mark.parametrize(
+    ("begin", "end"),
+    [
+        ((-0.06, 0.41, 0.17), (0.15, 0.23, 0.38)),
+        ((-0.09, 0.29, 0.06), (0.05, 0.42, 0.35)),
+        ((0.14, 0.11, -0.13), (0.41, 0.26, 0.04)),
+        ((0.16, -0.18, -0.01), (0.12, -0.18, 0.34)),
+    ],
+)
+def test_branch_is_chosen_so_that_the_line_after_it_can_be_followed(
+    handlers: Handlers, begin: tuple[float, float, float], end: tuple[float, float, float]
+) -> None:
+    """The configuration that is reached soonest cannot follow the line to its end, and another one can."""
+    first = move(pose_goal(*begin, tolerance=PoseTolerance(orientation=("free", "free", "free"))))
+    alone = planned(handlers, first)[0].trajectory.position[-1]
+    with pytest.raises(PlanningFailed):
+        handlers.plan(PlanRequest(start=tuple(map(float, alone)), goal=line(*end)))
+    plan, _ = planned(handlers, first, move(line(*end)))
+    time = plan.segments[0].end
+    assert tip_at(plan, time)[:3, 3] == pytest.approx(at(*begin), abs=1e-5)
+    assert tip_at(plan, plan.trajectory.duration)[:3, 3] == pytest.approx(at(*end), abs=1e-5)
 
 
 def test_approach_and_retreat_are_straight(handlers: Handlers) -> None:

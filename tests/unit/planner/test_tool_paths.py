@@ -27,6 +27,7 @@ from zarm_geometry.exact import ExactScene
 from zarm_geometry.frames import matrix, pose_of
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
+from zarm_planner.cartesian.curve import tool_curve
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
 from zarm_planner.pipeline import Verified, plan
@@ -199,6 +200,19 @@ def test_path_leaves_its_lines_only_in_the_corners(blend: float | None) -> None:
     else:
         assert speed[at_corner].min() > 0.01
     keeps_limits(M1013, verified)
+
+
+def test_corner_turns_without_a_kink() -> None:
+    """The direction of the curve changes gradually: half as much over half as far."""
+    points = points_of((0.0, 0.2, 0.0), (0.0, 0.2, -0.15))
+    curve = tool_curve(PathGoal(kind="path", points=points, blend=0.02), BEGIN, (0.25, 1.0, 1.0), "goal")
+    largest = []
+    for count in (4000, 8000):
+        position = curve.at(np.linspace(0.0, float(curve.stations[-1]), count + 1))[0]
+        along = np.diff(position, axis=0)
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        largest.append(float(np.linalg.norm(np.diff(along, axis=0), axis=1).max()))
+    assert largest[1] == pytest.approx(largest[0] / 2, rel=0.05)
 
 
 def test_spline_passes_its_points_smoothly() -> None:
