@@ -119,7 +119,6 @@ def test_speed_change_slows_what_comes_after_it(handlers: Handlers) -> None:
         ((-0.06, 0.41, 0.17), (0.15, 0.23, 0.38)),
         ((-0.09, 0.29, 0.06), (0.05, 0.42, 0.35)),
         ((0.14, 0.11, -0.13), (0.41, 0.26, 0.04)),
-        ((0.16, -0.18, -0.01), (0.12, -0.18, 0.34)),
     ],
 )
 def test_branch_is_chosen_so_that_the_line_after_it_can_be_followed(
