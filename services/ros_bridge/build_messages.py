@@ -1,6 +1,7 @@
-"""Builds a generation of curobo_msgs into this interpreter's virtual environment, against the ROS packages that pip installed.
+"""Builds the messages of the ROS bridge into this interpreter's virtual environment, against the ROS packages that pip installed.
 
-`make ros` runs this. Where ROS itself is installed, `colcon build` builds the same definitions.
+These are a generation of curobo_msgs, and the packages of MoveIt, ros2_control and tf2 that are not on PyPI. `make ros` runs this.
+Where ROS itself is installed, `colcon build` builds curobo_msgs, and the others come with ROS.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from pathlib import Path
 
 PACKAGE = "curobo_msgs"
 DEFINITIONS = Path(__file__).parent / "zarm_ros_bridge" / "generations" / PACKAGE
+OTHERS = Path(__file__).parent / "zarm_ros_bridge" / "interfaces"
+"""The other packages, a folder each."""
 PYTHON_HEADER = Path(sysconfig.get_path("include"), "Python.h")
 
 
@@ -63,19 +66,19 @@ def main() -> None:
 
     generation: str = arguments.generation
     sources = [(PACKAGE, folder) for folder in DEFINITIONS.iterdir() if folder.is_dir() and generation in folder.name]
-    sources += [(folder.resolve().name, folder.resolve()) for folder in arguments.others]
+    sources += [(folder.resolve().name, folder.resolve()) for folder in (*sorted(OTHERS.iterdir()), *arguments.others)]
     definitions = [
         Definition(package, path)
         for package, folder in sources
         for path in sorted(folder.glob("*/*"))
         if path.suffix in KINDS
     ]
-    title = f"{PACKAGE}, generation {generation.upper()}"
+    title = f"messages, {PACKAGE} of generation {generation.upper()}"
     try:
         tree, left_out = build(
             definitions,
             arguments.cache,
-            lambda done, total, name: _say(f"{title}: built {done} of {total} ({name.removeprefix(f'{PACKAGE}/')})"),
+            lambda done, total, name: _say(f"{title}: built {done} of {total} ({name})"),
         )
     except subprocess.CalledProcessError as failed:
         sys.exit(f"{failed.stdout[-6000:]}\nThe ROS bridge is left out: its messages did not build; see above.")

@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import cached_property
+from graphlib import TopologicalSorter
 from importlib.metadata import version
 from pathlib import Path
 
@@ -110,7 +111,7 @@ class _Job:
 
 
 def build(definitions: Iterable[Definition], cache: Path, progress: Progress) -> tuple[Path, dict[str, str]]:
-    """Build the definitions, of one package or of several of which none refers to one before it.
+    """Build the definitions, of one package or of several.
 
     Returns a folder in `cache` laid out like an installation prefix, and the definitions left out: the name of each,
     and the missing package that it refers to. Raises CalledProcessError if a compiler fails.
@@ -130,7 +131,7 @@ def build(definitions: Iterable[Definition], cache: Path, progress: Progress) ->
     tree = cache / "packages" / _digest(*sorted(job.folder.name for job in jobs), *left_out)
     if not tree.exists():
         with _made(tree) as folder:
-            for package in reversed(dict.fromkeys(job.definition.package for job in jobs)):
+            for package in _in_order(job.definition for job in jobs):
                 _assemble(package, [job for job in jobs if job.definition.package == package], folder)
     return tree, left_out
 
@@ -209,7 +210,7 @@ def _interface(job: _Job) -> None:
     """Generate and compile one interface: its objects, its Python module and its description are then in `job.folder`."""
     with _made(job.folder) as folder, contextlib.redirect_stdout(io.StringIO()):
         idl = {need.name: _idl(need, folder) for need in job.needs}
-        for package in dict.fromkeys(need.package for need in job.needs):
+        for package in _in_order(job.needs):
             of_package = [need for need in job.needs if need.package == package]
             _generate_headers(folder, package, of_package, [idl[need.name] for need in of_package])
         one = job.definition
@@ -234,6 +235,20 @@ def _interface(job: _Job) -> None:
             detail / f"{stem}__type_support_c.cpp",
             folder / "dispatch" / kind / f"{stem}__type_support.cpp",
         )
+
+
+def _in_order(definitions: Iterable[Definition]) -> Iterable[str]:
+    """Their packages, each after those that it refers to."""
+    packages: dict[str, set[str]] = {}
+    for one in definitions:
+        packages.setdefault(one.package, set()).update(name.split("/")[0] for name in one.refers_to)
+    return (
+        package
+        for package in TopologicalSorter(
+            {package: needs - {package} for package, needs in packages.items()}
+        ).static_order()
+        if package in packages
+    )
 
 
 def _idl(one: Definition, folder: Path) -> str:

@@ -3,189 +3,82 @@
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Callable
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING
 
-from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from sensor_msgs.msg import JointState
 
 from zarm.connection import ANSWER_SECONDS
-from zarm_contract.errors import Busy, ExecutionRefused, InternalError, ZarmError, from_problem
-from zarm_contract.messages import ExecuteRequest, ExecutorState, GoalState
-from zarm_ros_bridge.arrivals import OrderedActionServer
+from zarm_contract.errors import ExecutionRefused, from_problem
+from zarm_contract.messages import ExecuteRequest, GoalState
+from zarm_ros_bridge.action_servers import Action, ActionServers
 from zarm_ros_bridge.closed_loop import CLOSED_LOOP, FEEDBACK_UNIT, ClosedLoop
 from zarm_ros_bridge.convert.joints import ros_positions
 from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.generations.generation import Generation
-from zarm_ros_bridge.goals import ASK_SECONDS, GOAL, Run, states_of
+from zarm_ros_bridge.goals import Run
 from zarm_ros_bridge.motions import Motions
 from zarm_ros_bridge.parameters import Parameters
-from zarm_ros_bridge.ros import REQUESTS, Ros
+from zarm_ros_bridge.ros import Ros
+from zarm_ros_bridge.turns import Turns, busy
 
 if TYPE_CHECKING:
     from curobo_msgs.action import SendTrajectory
 
 log = logging.getLogger(__name__)
 
-REST_SECONDS = 15.0
-"""Longest wait (s) for the robot to come to rest when its goal is preempted."""
-RESULT_SECONDS = 60
-"""How long (s) a result can be requested."""
-_END_SECONDS = 3.0
 _JITTER = 0.05  # seconds by which a state of the executor may be early
 
 
 class ExecutionActions:
-    """The actions of one robot. Use it in `with`: leaving aborts the running goals, and the executor continues its goal
-    alone.
-    """
+    """The actions of one robot."""
 
     def __init__(
-        self, ros: Ros, engine: Engine, parameters: Parameters, motions: Motions, generation: Generation
+        self,
+        ros: Ros,
+        engine: Engine,
+        parameters: Parameters,
+        motions: Motions,
+        generation: Generation,
+        servers: ActionServers,
+        turns: Turns,
     ) -> None:
         self._ros = ros
         self._engine = engine
         self._parameters = parameters
         self._motions = motions
         self._generation = generation
-        self._turn = threading.Condition()
-        self._running: Run | None = None
-        self._newest: Run | None = None  # the one that came last
-        self._servers: dict[str, OrderedActionServer] = {}
+        self._servers = servers
+        self._turns = turns
         self._closed_loop = ClosedLoop(ros, engine, parameters, generation)
-        engine.client.connection.goals.listen()
         self._serve("SendTrajectory", "execute_trajectory", self._move)
         self._serve("SendTrajectory", "send_trajectory", self._move)
         self._serve("MpcMove", "mpc_move", self._closed_loop.move)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._engine.ending.set()
-        if (run := self._running) is not None:
-            run.leave()
-            run.ended.wait(_END_SECONDS)
-
-    def take_up_goals(self) -> None:
-        """From now on continue the goals of a bridge that was killed: their clients hear of them again, and can cancel
-        them.
-        """
-        self._engine.bus.watch(self._engine.keys.executor_state, self._take_up)
-
-    def _take_up(self, _: str, state: ExecutorState) -> None:
-        found = GOAL.fullmatch(state.goal_id or "")
-        if found is not None and (server := self._servers.get(found["action"])) is not None:
-            server.take_up(bytes.fromhex(found["id"]))
 
     def _serve(self, kind: str, name: str, move: Callable[[Run], str]) -> None:
         """`move` moves the robot for a goal of this action; it returns the success message."""
         if (action := self._generation.types.get(f"action/{kind}")) is None:
             return
-        self._servers[name] = OrderedActionServer(
-            self._ros.node,
-            action,
-            f"~/{name}",
-            lambda handle: self._carry_out(action.Result, Run(handle, self._engine, name), move),
-            goal_callback=self._admit,
-            cancel_callback=self._cancel,
-            callback_group=self._ros.group,
-            goal_service_qos_profile=REQUESTS,
-            cancel_service_qos_profile=REQUESTS,
-            result_service_qos_profile=REQUESTS,
-            result_timeout=RESULT_SECONDS,
+        self._servers.serve(
+            self._ros,
+            Action(
+                action,
+                f"~/{name}",
+                name,
+                lambda run: action.Result(success=True, message=move(run)),
+                lambda _, text: action.Result(success=False, message=text),
+                self._admit,
+            ),
         )
 
-    def _admit(self, _: SendTrajectory.Goal) -> GoalResponse:
+    def _admit(self, _: SendTrajectory.Goal) -> bool:
         """A rejection carries no reason; /rosout has it."""
-        if self._running is None or self._parameters.value("preempt"):
-            return GoalResponse.ACCEPT
-        self._ros.node.get_logger().warning(f"A goal was rejected: {_busy()}.")
-        return GoalResponse.REJECT
-
-    def _cancel(self, handle: ServerGoalHandle) -> CancelResponse:
-        """At once, in this thread: the one that follows the goal may be waiting."""
-        run = self._running
-        if run is not None and run.handle is handle:
-            run.cancel()
-        return CancelResponse.ACCEPT
-
-    def _carry_out(self, result: type[Any], run: Run, move: Callable[[Run], str]) -> Any:
-        """The result of a goal."""
-        try:
-            self._take_turn(run)
-            message = move(run)
-        except ZarmError as error:
-            return result(success=False, message=self._failed(run, error))
-        except Exception:  # as on the bus, one goal fails and the service continues
-            log.exception("goal failed")
-            fault = InternalError("the ROS bridge failed on this goal; its log has the trace")
-            return result(success=False, message=self._failed(run, fault))
-        else:
-            run.handle.succeed()
-            return result(success=True, message=message)
-        finally:
-            self._pass_turn(run)
-            run.ended.set()
-
-    def _failed(self, run: Run, error: ZarmError) -> str:
-        """The message to the client of a goal that ends with this error."""
-        level = logging.INFO if error.code == "cancelled" else logging.WARNING
-        log.log(level, "goal not reached reason=%s: %s", error.code, error)
-        if error.code == "cancelled" and run.cancelled():
-            run.handle.canceled()
-        else:
-            run.handle.abort()
-        if run.preempted:
-            return "another goal took the place of this one, and the robot was brought to rest"
-        return str(error)
-
-    def _take_turn(self, run: Run) -> None:
-        """Wait for the running goal to end if this one preempts it; the newest goal has the turn.
-
-        Raises Busy if it does not preempt, or if the robot does not come to rest, and Cancelled if a later goal came.
-        """
-        preempt = self._parameters.value("preempt")
-        with self._turn:
-            other = self._running
-            if other is not None and not preempt:
-                raise Busy(_busy())
-            if preempt and self._newest is not None and self._newest.handle.arrival > run.handle.arrival:
-                raise run.overtaken()
-            self._newest = run
-            if other is None:
-                self._running = run
-            self._turn.notify_all()
-        if other is not None:
-            other.preempt()
-            self._wait_for_turn(run)
-        client = self._engine.client
-        if preempt and (goal_id := client.state().goal_id) not in (None, run.name):  # of a client elsewhere
-            client.cancel(goal_id, timeout=ASK_SECONDS)
-            for _ in states_of(self._engine, goal_id):
-                run.go_on()
-
-    def _wait_for_turn(self, run: Run) -> None:
-        with self._turn:
-            free = self._turn.wait_for(lambda: self._newest is not run or self._running is None, REST_SECONDS)
-            if self._newest is not run:
-                raise run.overtaken()
-            if not free:
-                raise Busy(_busy())
-            self._running = run
-
-    def _pass_turn(self, run: Run) -> None:
-        with self._turn:
-            if self._running is run:
-                self._running = None
-                self._turn.notify_all()
+        if not (free := self._turns.free()):
+            self._ros.node.get_logger().warning(f"A goal was rejected: {busy()}.")
+        return free
 
     def _move(self, run: Run) -> str:
         """Plan if there is a target, and execute; or follow it, as the active planner does. Raises the services'
@@ -259,7 +152,3 @@ class _Feedback:
     def _report_progress(self, state: str, progress: float, joint_command: JointState) -> None:
         kind = self._generation.types["action/SendTrajectory"].Feedback
         self._handle.publish_feedback(self._generation.feedback(kind, state, progress, joint_command))
-
-
-def _busy() -> str:
-    return "another goal of this robot runs; cancel it first, or set the parameter preempt"

@@ -13,7 +13,7 @@ from rclpy.action.server import ServerGoalHandle
 
 from zarm.interrupts import CtrlC
 from zarm_contract.errors import Cancelled, Unavailable, ZarmError
-from zarm_contract.messages import GoalState, Plan, PlanRequest
+from zarm_contract.messages import GoalState, Plan, PlanRequest, ProgramRequest
 from zarm_ros_bridge.engine import Engine
 
 log = logging.getLogger(__name__)
@@ -104,12 +104,15 @@ class Run:
         if self._stopped is not None or self.handle.is_cancel_requested:
             raise Cancelled("the goal was cancelled before the robot moved")
 
-    def plan(self, request: PlanRequest) -> Plan:
+    def plan(self, request: PlanRequest | ProgramRequest) -> Plan:
         """The planner's answer. Raises its error, and Cancelled if the goal is to end."""
         self._planning = True
         try:
             self.go_on()
-            return self._engine.client.request_plan(request.model_copy(update={"request_id": self._request_id}))
+            named = request.model_copy(update={"request_id": self._request_id})
+            if isinstance(named, ProgramRequest):
+                return self._engine.client.request_program(named)
+            return self._engine.client.request_plan(named)
         finally:
             self._planning = False
 

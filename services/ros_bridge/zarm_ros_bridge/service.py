@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 from zarm_contract.errors import InvalidRequest
+from zarm_ros_bridge.action_servers import ActionServers
 from zarm_ros_bridge.additions import Additions
 from zarm_ros_bridge.availability import Availability
 from zarm_ros_bridge.convert.colours import Colour
@@ -15,10 +16,14 @@ from zarm_ros_bridge.drivers import Drivers
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.execution import ExecutionActions
 from zarm_ros_bridge.faults import Faults
+from zarm_ros_bridge.frames import Frames
 from zarm_ros_bridge.generations.c import GenerationC
 from zarm_ros_bridge.generations.installed import installed
 from zarm_ros_bridge.kinematics import Kinematics
 from zarm_ros_bridge.motions import Motions
+from zarm_ros_bridge.moveit.move_group import NODE as MOVE_GROUP
+from zarm_ros_bridge.moveit.move_group import WORKERS as MOVE_GROUP_WORKERS
+from zarm_ros_bridge.moveit.move_group import move_group
 from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.planning import Planning
 from zarm_ros_bridge.replies import insist
@@ -28,6 +33,7 @@ from zarm_ros_bridge.servo_commands import ServoCommands
 from zarm_ros_bridge.strategies import StrategyServices
 from zarm_ros_bridge.terms import Terms
 from zarm_ros_bridge.topics import Topics
+from zarm_ros_bridge.turns import Turns
 from zarm_ros_bridge.world_file import WorldFile
 from zarm_runtime.service import Service, run_service, service_parser
 
@@ -46,17 +52,21 @@ def start(service: Service) -> Iterator[None]:
     with (
         Ros(NODE, namespace, workers=WORKERS, parameters=True) as ros,
         Ros(f"_{NODE}_v1", namespace, workers=2) as first,
+        _move_group_node(service, namespace) as moveit,
         service.open_bus() as bus,  # closed before the nodes, which its messages need
         ExitStack() as listening,  # likewise, before the bus that the driver's messages need
     ):
-        listening.callback(ros.stop_listening)
+        for one in (ros, first, *moveit):
+            listening.callback(one.stop_listening)
         params = service.robot.descriptor.strategy_params
         engine = Engine(
             bus, service.keys, service.robot, Terms(ros.node.get_fully_qualified_name(), service.keys, params)
         )
         parameters = Parameters(ros.node, engine)
         motions = Motions(engine, parameters)
+        turns = Turns(engine, lambda: bool(parameters.value("preempt")))
         colours: dict[str, Colour] = {}
+        frames = Frames(ros, engine)
         Planning(ros, engine, parameters, motions, generation)
         Kinematics(ros, engine, generation)
         Faults(ros, engine)
@@ -73,16 +83,30 @@ def start(service: Service) -> Iterator[None]:
         with (
             topics,
             StrategyServices(ros, first, engine, parameters, generation),
-            ExecutionActions(ros, engine, parameters, motions, generation) as actions,
-            ServoCommands(ros, engine),
+            ActionServers(engine, turns) as servers,
+            ServoCommands(ros, first, engine),
             Availability(engine, parameters),
             Diagnostics(ros, engine),
+            ExitStack() as serving,
         ):
-            ros.spin()
-            first.spin()
-            actions.take_up_goals()
+            ExecutionActions(ros, engine, parameters, motions, generation, servers, turns)
+            for node in moveit:
+                serving.enter_context(move_group(node, engine, frames, servers, turns, colours, service.options.group))
+            for one in (ros, first, *moveit):
+                one.spin()
+            servers.take_up_goals()
             service.ready()
             yield
+
+
+@contextmanager
+def _move_group_node(service: Service, namespace: str) -> Iterator[tuple[Ros, ...]]:
+    """The participant of MoveIt's interface, if it is asked for."""
+    if not service.options.moveit:
+        yield ()
+        return
+    with Ros(MOVE_GROUP, namespace, workers=MOVE_GROUP_WORKERS, parameters=True) as ros:
+        yield (ros,)
 
 
 def _namespace(service: Service) -> str:
@@ -99,6 +123,14 @@ def main() -> int:
     parser = service_parser("ros_bridge", several=True)
     parser.add_argument(
         "--namespace", help="the ROS namespace (default: none for one robot, the name of each robot for several)"
+    )
+    parser.add_argument(
+        "--moveit",
+        action="store_true",
+        help="serve the interface of MoveIt's move_group as well, to its clients and RViz",
+    )
+    parser.add_argument(
+        "--group", default="arm", help="the name of the planning group that clients of MoveIt give (default: arm)"
     )
     insist()
     return run_service("ros_bridge", parser, start)

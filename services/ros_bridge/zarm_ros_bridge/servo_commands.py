@@ -12,6 +12,7 @@ from functools import partial
 from types import TracebackType
 from typing import Any, Self
 
+from control_msgs.msg import JointJog
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -84,7 +85,7 @@ class ServoCommands:
     The first command on a topic opens a session, which belongs to that topic until it pauses.
     """
 
-    def __init__(self, ros: Ros, engine: Engine) -> None:
+    def __init__(self, ros: Ros, other: Ros, engine: Engine) -> None:
         self._engine = engine
         self._log = ros.node.get_logger()
         self._came = threading.Condition()
@@ -96,14 +97,15 @@ class ServoCommands:
         self._text = ros.node.create_publisher(String, "~/servo_status/text", 10)
         client = engine.client
         self._opens: dict[str, Opens] = {}
-        for topic, kind, read, opens in (
-            ("delta_twist_cmds", TwistStamped, twist_of, client.jog),
-            ("delta_joint_cmds", _joint_jog(), joint_speed_of, client.jog),
-            ("pose_target_cmds", PoseStamped, target_of, client.track),
+        for listener, topic, kind, read, opens in (
+            (ros, "delta_twist_cmds", TwistStamped, twist_of, client.jog),
+            (ros, "delta_joint_cmds", JointJog, joint_speed_of, client.jog),
+            (other, "delta_joint_cmds", JointState, joint_speed_of, client.jog),
+            (ros, "pose_target_cmds", PoseStamped, target_of, client.track),
         ):
             self._opens[topic] = opens
             on_command = partial(self._on_command, topic, read, Punctuality())
-            ros.listen(kind, ros.node.resolve_topic_name(f"~/{topic}"), on_command, COMMANDS)
+            listener.listen(kind, ros.node.resolve_topic_name(f"~/{topic}"), on_command, COMMANDS)
         self._thread = threading.Thread(target=self._run, name="servo commands")
 
     def __enter__(self) -> Self:
@@ -207,12 +209,3 @@ class ServoCommands:
         self._reported, self._reported_at = (code, text), now
         self._status.publish(Int8(data=code))
         self._text.publish(String(data=text))
-
-
-def _joint_jog() -> Any:
-    """The type of delta_joint_cmds, if MoveIt Servo's is installed, which PyPI lacks."""
-    try:
-        from control_msgs.msg import JointJog
-    except ImportError:
-        return JointState
-    return JointJog

@@ -6,18 +6,18 @@ import sys
 import time
 
 from zarm_ros_bridge import service
-from zarm_ros_bridge.execution import ExecutionActions
 from zarm_ros_bridge.goals import Run
+from zarm_ros_bridge.turns import Turns
 
-take_turn = ExecutionActions._take_turn
+take = Turns.take
 
 
-def slowly(self: ExecutionActions, run: Run) -> None:
-    while run.handle.arrival == 0 and self._running is None:
+def slowly(self: Turns, run: Run) -> None:
+    while run.handle.arrival == 0 and self.running is None:
         time.sleep(0.01)
-    take_turn(self, run)
+    take(self, run)
 
 
 if __name__ == "__main__":
-    ExecutionActions._take_turn = slowly  # type: ignore[method-assign]
+    Turns.take = slowly  # type: ignore[method-assign]
     sys.exit(service.main())

@@ -1,0 +1,178 @@
+"""Frames of ROS: the robot's links, objects of the scene, and whatever is published on /tf and /tf_static."""
+
+from __future__ import annotations
+
+import threading
+import time
+from bisect import bisect_left
+from collections import deque
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from tf2_msgs.msg import TFMessage
+
+from zarm_contract.codec import decode
+from zarm_contract.errors import Unavailable
+from zarm_contract.messages import Attached, JointState, Pose, SceneObject
+from zarm_contract.messages import Sphere as Ball
+from zarm_geometry.frames import matrix, pose_of
+from zarm_ros_bridge.convert.joints import known_as
+from zarm_ros_bridge.convert.times import NANOSECONDS
+from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.link_frames import LinkFrames
+from zarm_ros_bridge.ros import Ros
+from zarm_ros_bridge.transforms import HISTORY, Transforms, UnknownFrame
+
+Array = NDArray[np.float64]
+
+PATIENCE = 0.5
+"""How long (s) a transform may be on its way."""
+TF = QoSProfile(depth=100)
+TF_STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""The QoS of the topics, as in tf2."""
+_POLL = 0.02
+_STATES = 5000  # most joint states in HISTORY
+
+
+class Frames:
+    """Looks up frames. Thread-safe."""
+
+    def __init__(self, ros: Ros, engine: Engine) -> None:
+        self._engine = engine
+        self.links = LinkFrames(engine.robot)
+        self._published = Transforms()
+        self._history = _JointHistory(engine)
+        ros.listen(TFMessage, "/tf", lambda message: self._put(message, fixed=False), TF)
+        ros.listen(TFMessage, "/tf_static", lambda message: self._put(message, fixed=True), TF_STATIC)
+
+    def in_base(self, pose: Pose, header: Any, field: str) -> Pose:
+        """The pose given in the frame of `header`, in the base frame. Raises UnknownFrame, with the `field` of the header."""
+        frame = self.pose_of(header.frame_id, _seconds(header.stamp), field)
+        return pose if frame is None else pose_of(frame @ matrix(pose.position, pose.orientation))
+
+    def pose_of(self, frame_id: str, stamp: float = 0.0, field: str = "header") -> Array | None:
+        """The pose (4, 4) in the base frame that a frame has at `stamp` (s; 0: now), None if it is the base frame.
+
+        Waits up to PATIENCE s for it. Raises UnknownFrame.
+        """
+        name = known_as(frame_id.removeprefix("/"), self.links.links)
+        if name in ("", self.links.base):
+            return None
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            try:
+                return self._looked_up(name, stamp)
+            except UnknownFrame as error:
+                if time.monotonic() > deadline:
+                    at = f"{field}.{(error.problem.field or 'header.frame_id').removeprefix('header.')}"
+                    raise UnknownFrame(error.problem.message, field=at) from error
+            time.sleep(_POLL)
+
+    def joints(self) -> tuple[float, ...]:
+        """The positions of the joints (rad), as last measured. Raises Unavailable without any."""
+        return self._history.at(0.0)
+
+    def links_at(self, stamp: float = 0.0) -> dict[str, Array]:
+        """The pose (4, 4) of each link in the base frame at `stamp` (s; 0: now). Raises UnknownFrame."""
+        return self.links.poses(self._history.at(stamp))
+
+    def _looked_up(self, name: str, stamp: float) -> Array:
+        up, pose = self._climb(name, stamp)
+        if up in self.links.links:
+            return pose if up == self.links.base else self.links_at(stamp)[up] @ pose
+        if (item := self._object(up)) is not None:
+            return item @ pose
+        for link in (self.links.base, self.links.links[0]):  # what the robot stands on
+            root, base = self._climb_from(link, stamp)
+            if root == up:
+                placed = np.eye(4) if link == self.links.base else self.links_at(stamp)[link]
+                return placed @ np.linalg.inv(base) @ pose
+        known = sorted({*self.links.links, *self._published.names()})
+        raise UnknownFrame(
+            f"the frame {name!r} is not connected to {self.links.base}; known are {', '.join(known[:20])}"
+            f"{' and more' if len(known) > 20 else ''}, and the objects of the scene",
+            field="header.frame_id",
+        )
+
+    def _climb(self, name: str, stamp: float) -> tuple[str, Array]:
+        """The first link of the robot above a frame, or the root of its tree, and the frame's pose there."""
+        return (name, np.eye(4)) if name in self.links.links else self._climb_from(name, stamp)
+
+    def _climb_from(self, name: str, stamp: float) -> tuple[str, Array]:
+        pose, seen = np.eye(4), {name}
+        while (parent := self._published.parent(name)) is not None:
+            pose = self._published.in_parent(name, stamp) @ pose
+            name = parent
+            if name in self.links.links or name in seen:
+                break
+            seen.add(name)
+        return name, pose
+
+    def _object(self, name: str) -> Array | None:
+        """The pose of an object of the scene."""
+        scene = self._engine.client.scene.read()
+        for item in scene.objects:
+            if item.name == name:
+                return _placed(item)
+        for attached in scene.attached:
+            if attached.object.name == name:
+                return self.links_at()[self._engine.robot.descriptor.tip_link] @ _placed(attached)
+        return None
+
+    def _put(self, message: Any, *, fixed: bool) -> None:
+        for one in message.transforms:
+            t, r = one.transform.translation, one.transform.rotation
+            stamp = None if fixed else _seconds(one.header.stamp)
+            try:
+                pose = Pose(position=(t.x, t.y, t.z), orientation=(r.x, r.y, r.z, r.w))
+            except ValueError:  # as tf2, which drops what is no transform
+                continue
+            child, parent = (name.removeprefix("/") for name in (one.child_frame_id, one.header.frame_id))
+            if child and parent and child != parent:
+                self._published.put(parent, child, stamp, pose)
+
+
+class _JointHistory:
+    """The measured joints of the last HISTORY s, decoded only where somebody asks."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._joints = engine.joints
+        self._turn = threading.Lock()
+        self._payloads: deque[bytes] = deque(maxlen=_STATES)
+        engine.bus.listen(engine.keys.joint_states, self._receive)
+
+    def at(self, stamp: float) -> tuple[float, ...]:
+        """The position of the joints at `stamp` (s; 0: now). Raises UnknownFrame, and Unavailable without any."""
+        with self._turn:
+            payloads = list(self._payloads)
+        if not payloads:
+            raise Unavailable("no joint state has come yet; start the executor and the driver")
+        last = decode(JointState, payloads[-1])
+        if not stamp or stamp >= last.stamp:
+            return last.position
+        after = bisect_left(payloads, stamp, key=lambda payload: decode(JointState, payload).stamp)
+        end = decode(JointState, payloads[after])
+        if after == 0 and end.stamp > stamp + 1e-9:
+            raise UnknownFrame(
+                f"where the robot was at {stamp:.3f} is not known, only since {end.stamp:.3f}; at most the last "
+                f"{HISTORY:g} s are kept",
+                field="header.stamp",
+            )
+        start = decode(JointState, payloads[max(after - 1, 0)])
+        share = (stamp - start.stamp) / ((end.stamp - start.stamp) or 1.0)
+        return tuple((1.0 - share) * a + share * b for a, b in zip(start.position, end.position, strict=True))
+
+    def _receive(self, _: str, payload: bytes) -> None:
+        with self._turn:
+            self._payloads.append(payload)
+
+
+def _placed(item: SceneObject | Attached) -> Array:
+    thing = item.object if isinstance(item, Attached) else item
+    return matrix(thing.position) if isinstance(thing, Ball) else matrix(thing.position, thing.orientation)
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec + stamp.nanosec / NANOSECONDS)

@@ -1,0 +1,207 @@
+"""Collision objects of MoveIt as objects of the scene, and back.
+
+A collision object may have several shapes, an object of the scene has one: those of `shelf` are `shelf..0`, `shelf..1` and so on.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Point
+from moveit_msgs.msg import CollisionObject
+from moveit_msgs.msg import MoveItErrorCodes as Val
+from numpy.typing import NDArray
+from shape_msgs.msg import Mesh as RosMesh
+from shape_msgs.msg import MeshTriangle, SolidPrimitive
+
+from zarm_contract.messages import (
+    Capsule,
+    Cuboid,
+    Cylinder,
+    Mesh,
+    Pose,
+    Quaternion,
+    SceneObject,
+    Sphere,
+    Vector3,
+    Voxels,
+)
+from zarm_geometry.frames import matrix, pose_of, rotation_to
+from zarm_ros_bridge.convert.fields import finite
+from zarm_ros_bridge.convert.poses import pose_of as ros_pose_of
+from zarm_ros_bridge.convert.poses import ros_pose
+from zarm_ros_bridge.moveit.error_codes import Refusal
+
+Array = NDArray[np.float64]
+
+SLAB = 20.0, 0.02
+"""Edge and thickness (m) of the slab that stands for a plane, below it."""
+MOST_CUBES = 5000
+"""Most cells of voxels that are shown as boxes."""
+_NOT_A_NAME = re.compile(r"[^A-Za-z0-9_.-]")
+_PART = re.compile(r"(?P<id>.+)\.\.[0-9]+")
+
+
+def name_of(identity: str, field: str = "id") -> str:
+    """The name in the scene for an id: characters that a name cannot have become `_`. Raises Refusal for an empty or long id."""
+    name = _NOT_A_NAME.sub("_", identity)
+    if not 0 < len(name) <= 60 or _PART.fullmatch(name):
+        raise Refusal(
+            Val.INVALID_OBJECT_NAME,
+            f"{identity[:80]!r}: an id has 1 to 60 characters, and does not end with .. and a number",
+            field,
+        )
+    return name
+
+
+def id_of(name: str) -> str:
+    """The id of the collision object that an object of the scene belongs to."""
+    found = _PART.fullmatch(name)
+    return name if found is None else found["id"]
+
+
+def parts_of(message: Any, name: str, frame: Array | None, field: str) -> tuple[SceneObject, ...]:
+    """The shapes of a collision object in the base frame; `frame` (4, 4) is where its header's frame is, None for the base frame.
+
+    Raises Refusal.
+    """
+    origin = _origin(message, frame, field)
+    placed = [
+        (_solid(shape, f"{field}.primitives[{i}]"), _pose(message.primitive_poses, i, f"{field}.primitive_poses"))
+        for i, shape in enumerate(message.primitives)
+    ]
+    placed += [
+        (_plane(plane, f"{field}.planes[{i}]"), _pose(message.plane_poses, i, f"{field}.plane_poses"))
+        for i, plane in enumerate(message.planes)
+    ]
+    if message.meshes:
+        raise Refusal(
+            Val.INVALID_OBJECT_NAME,
+            "triangles are not taken over ROS; put the file into a mesh folder of the planner, and add it with its path",
+            f"{field}.meshes",
+        )
+    if not placed:
+        raise Refusal(Val.INVALID_OBJECT_NAME, "the object has no shape; give it a primitive", f"{field}.primitives")
+    several = len(placed) > 1
+    return tuple(
+        _named(shape, f"{name}..{i}" if several else name, origin @ own @ offset)
+        for i, ((shape, offset), own) in enumerate(placed)
+    )
+
+
+def _origin(message: Any, frame: Array | None, field: str) -> Array:
+    pose = ros_pose_of(message.pose, f"{field}.pose")
+    own = matrix(pose.position, pose.orientation)
+    return own if frame is None else frame @ own
+
+
+def origin_of(message: Any, frame: Array | None, field: str) -> Array:
+    """The pose (4, 4) of a collision object in the base frame. Raises InvalidRequest."""
+    return _origin(message, frame, field)
+
+
+def moved(part: SceneObject, by: Array) -> SceneObject:
+    """The same object where `by` (4, 4), in the base frame, moves it."""
+    pose = pose_of(by @ placement(part))
+    if isinstance(part, Sphere):
+        return part.model_copy(update={"position": pose.position})
+    return part.model_copy(update={"position": pose.position, "orientation": pose.orientation})
+
+
+def placement(part: SceneObject) -> Array:
+    """The pose (4, 4) of an object."""
+    return matrix(part.position) if isinstance(part, Sphere) else matrix(part.position, part.orientation)
+
+
+def collision_object(identity: str, parts: Sequence[SceneObject], origin: Array, frame: str) -> Any:
+    """The message for the parts of an object with its own pose `origin` (4, 4), both in `frame`."""
+    message = CollisionObject(id=identity, pose=ros_pose(pose_of(origin)), operation=CollisionObject.ADD)
+    message.header.frame_id = frame
+    into = np.linalg.inv(origin)
+    for part in parts:
+        for kind, sizes, offset in _solids(part):
+            message.primitives.append(SolidPrimitive(type=kind, dimensions=sizes))
+            message.primitive_poses.append(ros_pose(pose_of(into @ placement(part) @ offset)))
+    return message
+
+
+def mesh_of(vertices: Iterable[Vector3], triangles: Iterable[Sequence[int]]) -> Any:
+    """Triangles as a message."""
+    return RosMesh(
+        vertices=[Point(x=x, y=y, z=z) for x, y, z in vertices],
+        triangles=[MeshTriangle(vertex_indices=list(corners)) for corners in triangles],
+    )
+
+
+Shape = tuple[int, tuple[float, ...]]
+
+
+def _solid(primitive: Any, field: str) -> tuple[Shape, Array]:
+    """Type and sizes (m), and where it is in its own frame."""
+    counts = {SolidPrimitive.BOX: 3, SolidPrimitive.SPHERE: 1, SolidPrimitive.CYLINDER: 2, SolidPrimitive.CONE: 2}
+    sizes = tuple(finite(size, f"{field}.dimensions[{i}]") for i, size in enumerate(primitive.dimensions))
+    if counts.get(primitive.type) != len(sizes) or min(sizes) <= 0.0:
+        raise Refusal(
+            Val.INVALID_OBJECT_NAME,
+            f"{len(sizes)} dimensions {sizes} are not those of the type {primitive.type}; give BOX 3, SPHERE 1, CYLINDER 2 "
+            "or CONE 2, all above 0",
+            f"{field}.dimensions",
+        )
+    return (primitive.type, sizes), np.eye(4)
+
+
+def _plane(plane: Any, field: str) -> tuple[Shape, Array]:
+    """The slab below the plane ax + by + cz + d = 0, whose normal points up."""
+    a, b, c, d = (finite(value, f"{field}.coef[{i}]") for i, value in enumerate(plane.coef))
+    length = float(np.linalg.norm((a, b, c)))
+    if length < 1e-9:
+        raise Refusal(Val.INVALID_OBJECT_NAME, "the plane has no normal", f"{field}.coef")
+    offset = np.eye(4)
+    offset[:3, :3] = rotation_to((a / length, b / length, c / length))
+    offset[:3, 3] = offset[:3, 2] * (-d / length - SLAB[1] / 2.0)
+    return (SolidPrimitive.BOX, (SLAB[0], SLAB[0], SLAB[1])), offset
+
+
+def _pose(poses: Sequence[Any], i: int, field: str) -> Array:
+    if i >= len(poses):
+        return np.eye(4)
+    pose = ros_pose_of(poses[i], f"{field}[{i}]")
+    return matrix(pose.position, pose.orientation)
+
+
+def _named(shape: Shape, name: str, at: Array) -> SceneObject:
+    kind, sizes = shape
+    pose: Pose = pose_of(at)
+    position: Vector3 = pose.position
+    turned: Quaternion = pose.orientation
+    if kind == SolidPrimitive.SPHERE:
+        return Sphere(kind="sphere", name=name, position=position, radius=sizes[0])
+    if kind == SolidPrimitive.BOX:
+        x, y, z = sizes
+        return Cuboid(kind="cuboid", name=name, position=position, orientation=turned, size=(x, y, z))
+    height, radius = sizes[0], sizes[1]  # a cone by the cylinder around it
+    return Cylinder(kind="cylinder", name=name, position=position, orientation=turned, radius=radius, length=height)
+
+
+def _solids(part: SceneObject) -> Iterator[tuple[int, list[float], Array]]:
+    """The primitives that show an object: type, sizes (m) and pose in its frame."""
+    match part:
+        case Cuboid():
+            yield SolidPrimitive.BOX, list(part.size), np.eye(4)
+        case Sphere():
+            yield SolidPrimitive.SPHERE, [part.radius], np.eye(4)
+        case Cylinder():
+            yield SolidPrimitive.CYLINDER, [part.length, part.radius], np.eye(4)
+        case Capsule():
+            yield SolidPrimitive.CYLINDER, [part.length, part.radius], np.eye(4)
+            for side in (-0.5, 0.5):
+                yield SolidPrimitive.SPHERE, [part.radius], matrix((0.0, 0.0, side * part.length))
+        case Voxels():
+            edge = part.resolution
+            for i, j, k in part.cells[:MOST_CUBES]:
+                yield SolidPrimitive.BOX, [edge] * 3, matrix((i * edge, j * edge, k * edge))
+        case Mesh():  # its file is the planner's
+            return

@@ -1,0 +1,171 @@
+"""compute_fk, compute_ik, check_state_validity and check_multi_state_validity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped, Vector3
+from moveit_msgs.msg import ConstraintEvalResult, ContactInformation
+from moveit_msgs.msg import MoveItErrorCodes as Val
+
+from zarm_contract.errors import PlanningFailed
+from zarm_contract.messages import CheckResult, IkRequest, Pose, TipFrame
+from zarm_geometry.frames import pose_of
+from zarm_ros_bridge.convert.joints import known_as, positions_of
+from zarm_ros_bridge.convert.poses import pose_of as ros_pose_of
+from zarm_ros_bridge.convert.poses import ros_pose
+from zarm_ros_bridge.convert.times import ros_time
+from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.frames import Frames
+from zarm_ros_bridge.moveit.constraint_set import ConstraintSet
+from zarm_ros_bridge.moveit.error_codes import Refusal
+from zarm_ros_bridge.moveit.requests import check_group
+from zarm_ros_bridge.moveit.states import Positions, robot_state, start_of
+
+_SECONDS = 65.0
+"""Longest wait (s) for a batch, for which the planner allows 60 s."""
+_BATCH = 1000  # most states in one request
+
+
+class Kinematics:
+    """Answers for states that a request gives. Thread-safe."""
+
+    def __init__(self, engine: Engine, frames: Frames, group: str) -> None:
+        self._engine = engine
+        self._frames = frames
+        self._group = group
+
+    def fk(self, request: Any, response: Any) -> None:
+        """Fill in the poses of the links, in the frame of the request. Raises Refusal, UnknownFrame."""
+        links = self._frames.links
+        at = links.poses(self._state(request.robot_state))
+        names = list(request.fk_link_names) or [self._engine.robot.descriptor.tip_link]
+        frame = self._frames.pose_of(request.header.frame_id)
+        into = np.eye(4) if frame is None else np.linalg.inv(frame)
+        poses = []
+        for i, name in enumerate(names):
+            link = known_as(name, links.links)
+            if link not in at:
+                raise Refusal(
+                    Val.INVALID_LINK_NAME,
+                    f"the robot has no link {name!r}; choose among {', '.join(links.links)}",
+                    f"fk_link_names[{i}]",
+                )
+            stamped = PoseStamped(pose=ros_pose(pose_of(into @ at[link])))
+            stamped.header.frame_id = request.header.frame_id or links.base
+            stamped.header.stamp = request.header.stamp
+            poses.append(stamped)
+        response.pose_stamped, response.fk_link_names = poses, names
+
+    def ik(self, request: Any, response: Any) -> None:
+        """Fill in joints for one pose. Raises Refusal, UnknownFrame, and PlanningFailed without a solution."""
+        asked = request.ik_request
+        check_group(asked.group_name, self._group)
+        if len(asked.ik_link_names) > 1 or len(asked.pose_stamped_vector) > 1:
+            raise Refusal(
+                Val.INVALID_GOAL_CONSTRAINTS,
+                "one link at a time; the robot has one arm",
+                "ik_request.pose_stamped_vector",
+            )
+        near = self._state(asked.robot_state)
+        limits = ConstraintSet(asked.constraints, self._engine, self._frames, "ik_request.constraints")
+        pose, tip = self._ik_goal(asked)
+        found = self._engine.client.request_ik(
+            IkRequest(
+                poses=(pose,),
+                tip=tip,
+                near=near,
+                max_solutions=64 if limits else 1,
+                collision_free=asked.avoid_collisions,
+            )
+        )
+        solutions = [joints for joints in found.solutions[0] if not limits or limits.holds(joints)]
+        if not solutions:
+            raise PlanningFailed(
+                "no joints within their ranges reach the pose"
+                + (" free of collision" if asked.avoid_collisions else "")
+                + (" and keep the constraints" if limits else ""),
+                code="unreachable",
+                field="ik_request",
+            )
+        response.solution = robot_state(self._engine.joints, solutions[0])
+        response.solution.joint_state.header.stamp = ros_time(0.0)
+
+    def check(self, request: Any, response: Any) -> None:
+        """Fill in whether a state is valid, and what it touches. Raises Refusal."""
+        self._check_group(request.group_name)
+        self._validate(request, response, [self._state(request.robot_state)])
+
+    def check_all(self, request: Any, response: Any) -> None:
+        """Fill in whether all states are valid, and what the first invalid one touches. Raises Refusal."""
+        self._check_group(request.group_name)
+        states = [
+            positions_of(state, self._engine.joints, f"joint_states[{i}]")
+            for i, state in enumerate(request.joint_states)
+        ]
+        self._validate(request, response, states or [self._state(request.robot_state)])
+
+    def _check_group(self, name: str) -> None:
+        if name:  # without one, the whole robot is meant
+            check_group(name, self._group)
+
+    def _validate(self, request: Any, response: Any, states: Sequence[Positions]) -> None:
+        constraints = ConstraintSet(request.constraints, self._engine, self._frames, "constraints")
+        results = [
+            result
+            for i in range(0, len(states), _BATCH)
+            for result in self._engine.client.check(states[i : i + _BATCH], points=True, timeout=_SECONDS)
+        ]
+        response.valid = True
+        for state, result in zip(states, results, strict=True):
+            evaluated = list(constraints.evaluate(state))
+            valid = result.within_limits and not result.in_collision and all(holds for holds, _ in evaluated)
+            if response.valid:
+                response.constraint_result = [ConstraintEvalResult(result=a, distance=b) for a, b in evaluated]
+                response.contacts = [self._contact(result)] if result.in_collision else []
+            response.valid = response.valid and valid
+
+    def _contact(self, result: CheckResult) -> Any:
+        scene = self._engine.client.scene.read()
+        attached = {one.object.name for one in scene.attached}
+        first, second = result.pair or ("", "")
+        contact = ContactInformation(contact_body_1=first, contact_body_2=second, depth=max(-result.clearance, 0.0))
+        contact.header.frame_id = self._frames.links.base
+        contact.body_type_1, contact.body_type_2 = (
+            ContactInformation.ROBOT_LINK
+            if name in self._frames.links.links
+            else ContactInformation.ROBOT_ATTACHED
+            if name in attached
+            else ContactInformation.WORLD_OBJECT
+            for name in (first, second)
+        )
+        if result.points is not None:
+            a, b = (np.array(point) for point in result.points)
+            contact.position.x, contact.position.y, contact.position.z = ((a + b) / 2.0).tolist()
+            if (length := float(np.linalg.norm(b - a))) > 1e-9:
+                x, y, z = ((b - a) / length).tolist()
+                contact.normal = Vector3(x=x, y=y, z=z)
+        return contact
+
+    def _ik_goal(self, asked: Any) -> tuple[Pose, TipFrame | None]:
+        """The pose that is asked for, and of which link, None for the tip."""
+        robot, links = self._engine.robot, self._frames.links
+        stamped = asked.pose_stamped_vector[0] if asked.pose_stamped_vector else asked.pose_stamped
+        names = list(asked.ik_link_names) or [asked.ik_link_name]
+        link = known_as(names[0], links.links) or robot.descriptor.tip_link
+        if link not in links.links:
+            raise Refusal(
+                Val.INVALID_LINK_NAME,
+                f"the robot has no link {names[0]!r}; choose among {', '.join(links.links)}",
+                "ik_request.ik_link_name",
+            )
+        pose = self._frames.in_base(
+            ros_pose_of(stamped.pose, "ik_request.pose_stamped.pose"), stamped.header, "ik_request.pose_stamped.header"
+        )
+        return pose, None if link == robot.descriptor.tip_link else TipFrame(link=link)
+
+    def _state(self, state: Any) -> Positions:
+        given = start_of(state, self._frames, self._engine.joints, "robot_state")
+        return self._frames.joints() if given is None else given

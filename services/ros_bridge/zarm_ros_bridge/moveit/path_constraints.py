@@ -1,0 +1,114 @@
+"""Path constraints of MoveIt: a motion that keeps to them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from moveit_msgs.msg import MoveItErrorCodes as Val
+
+from zarm_contract.errors import PlanningFailed
+from zarm_contract.messages import PathConstraint, Plan, PlanRequest
+from zarm_contract.robot import RobotDescription
+from zarm_ros_bridge.moveit.constraint_set import FREE, ConstraintSet, deviation
+from zarm_ros_bridge.moveit.error_codes import Refusal
+from zarm_ros_bridge.moveit.states import Positions
+
+_WIDE = 1.0
+"""Half an edge (m) from which a box does not hold its axis: no robot is held inside a cell by it."""
+_ANGLES = (0.001, 0.5)
+_DISTANCES = (0.0005, 0.1)
+"""The tolerances that a path constraint of zarm may have."""
+
+
+def constrained_plan(
+    request: PlanRequest,
+    constraints: ConstraintSet,
+    start: Positions,
+    robot: RobotDescription,
+    links: Callable[[Positions], dict[str, Any]],
+    request_plan: Callable[[PlanRequest], Plan],
+) -> Plan:
+    """A plan whose every sample keeps the constraints; `links` are the poses of the robot's links at joints.
+
+    Most motions keep them anyway. Otherwise the components that they bound are held as at the start, which is more than they
+    ask. Raises Refusal, and what `request_plan` raises.
+    """
+    if not constraints.holds(start):
+        raise Refusal(
+            Val.START_STATE_VIOLATES_PATH_CONSTRAINTS,
+            "the start is outside the path constraints; move the robot inside first, or widen them",
+            "path_constraints",
+        )
+    plan = request_plan(request)
+    if kept(plan, constraints):
+        return plan
+    if not constraints.holds(plan.trajectory.position[-1]):
+        raise Refusal(
+            Val.GOAL_VIOLATES_PATH_CONSTRAINTS, "the goal is outside the path constraints", "path_constraints"
+        )
+    held = _held(constraints, start, robot, links)
+    plan = request_plan(request.model_copy(update={"path_constraint": held}))
+    if kept(plan, constraints):
+        return plan
+    raise PlanningFailed("no motion was found that keeps the path constraints; widen them", field="path_constraints")
+
+
+def kept(plan: Plan, constraints: ConstraintSet) -> bool:
+    """Whether every sample of a plan keeps the constraints."""
+    return all(map(constraints.holds, plan.trajectory.position))
+
+
+def _held(
+    constraints: ConstraintSet,
+    start: Positions,
+    robot: RobotDescription,
+    links: Callable[[Positions], dict[str, Any]],
+) -> PathConstraint:
+    """What of the tip's pose at the start is to stay, for the constraints to be kept."""
+    tip = robot.descriptor.tip_link
+    links_held = {one.link for one in constraints.positions} | {one.link for one in constraints.orientations}
+    if constraints.joints or links_held - {tip}:
+        raise PlanningFailed(
+            f"the motion found breaks the path constraints, and only those of {tip} can be planned for; widen the others",
+            field="path_constraints",
+        )
+    if constraints.orientations and constraints.positions:
+        raise PlanningFailed(
+            "the motion found breaks the path constraints, and position and orientation cannot both be planned for; widen one",
+            field="path_constraints",
+        )
+    at = links(start)[tip]
+    if constraints.orientations:
+        return _turning(constraints, at)
+    return _moving(constraints, at)
+
+
+def _turning(constraints: ConstraintSet, at: Any) -> PathConstraint:
+    axes, tolerance = [False] * 3, _ANGLES[1]
+    for orientation in constraints.orientations:
+        off = deviation(orientation, at[:3, :3])
+        free = any(most >= FREE for most in orientation.tolerance)
+        for i, (most, now) in enumerate(zip(orientation.tolerance, off, strict=True)):
+            if most < FREE:
+                axes[i] = True
+                tolerance = min(tolerance, (most - now) * (math.sqrt(0.5) if free else 1.0))
+    x, y, z = axes
+    return PathConstraint(axes=(x, y, z, False, False, False), frame="tool", angle_tolerance=max(tolerance, _ANGLES[0]))
+
+
+def _moving(constraints: ConstraintSet, at: Any) -> PathConstraint:
+    axes, tolerance = [False] * 3, _DISTANCES[1]
+    for region in constraints.positions:
+        inside = np.abs(np.linalg.inv(region.pose) @ at @ np.append(region.offset, 1.0))[:3]
+        half = np.array(region.half if region.half is not None else [(region.radius or 0.0) / math.sqrt(3.0)] * 3)
+        turn = np.abs(region.pose[:3, :3])  # the box's axes in the base frame
+        for i in range(3):
+            if half[i] < _WIDE:
+                along = int(np.argmax(turn[:, i]))
+                axes[along] = True
+                tolerance = min(tolerance, float(half[i] - inside[i]))
+    x, y, z = axes
+    return PathConstraint(axes=(False, False, False, x, y, z), position_tolerance=max(tolerance, _DISTANCES[0]))

@@ -1,0 +1,123 @@
+"""The scene as MoveIt's planning scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from moveit_msgs.msg import (
+    AllowedCollisionEntry,
+    AllowedCollisionMatrix,
+    AttachedCollisionObject,
+    LinkPadding,
+    LinkScale,
+    ObjectColor,
+    PlanningScene,
+    PlanningSceneComponents,
+)
+from numpy.typing import NDArray
+from std_msgs.msg import ColorRGBA
+
+from zarm_contract.messages import Scene, SceneObject
+from zarm_contract.robot import RobotDescription
+from zarm_geometry.frames import matrix
+from zarm_ros_bridge.convert.colours import Colour
+from zarm_ros_bridge.moveit.collision_objects import collision_object, id_of, placement
+from zarm_ros_bridge.moveit.states import Positions, robot_state
+
+Array = NDArray[np.float64]
+C = PlanningSceneComponents
+ALL = 1023
+"""Every component of a planning scene."""
+
+
+def grouped(objects: Iterable[SceneObject]) -> dict[str, list[SceneObject]]:
+    """The objects of the scene by the id of their collision object."""
+    found: dict[str, list[SceneObject]] = {}
+    for item in objects:
+        found.setdefault(id_of(item.name), []).append(item)
+    return found
+
+
+class PlanningSceneMessages:
+    """Makes the messages. `origins` are the poses (4, 4) that clients gave collision objects, by id."""
+
+    def __init__(self, robot: RobotDescription, origins: Mapping[str, Array], colours: Mapping[str, Colour]) -> None:
+        self._robot = robot
+        self._origins = origins
+        self._colours = colours
+
+    def message(self, scene: Scene, joints: Positions | None, components: int = ALL) -> Any:
+        """The whole scene, or these components of it; without `joints` the state of the robot is left out."""
+        descriptor = self._robot.descriptor
+        message = PlanningScene(name=scene.revision, robot_model_name=descriptor.name)
+        message.is_diff = False
+        if components & (C.ROBOT_STATE | C.ROBOT_STATE_ATTACHED_OBJECTS) and joints is not None:
+            message.robot_state = robot_state(descriptor.joints, joints)
+        if components & C.ROBOT_STATE_ATTACHED_OBJECTS:
+            message.robot_state.attached_collision_objects = self._attached(scene)
+        if components & (C.WORLD_OBJECT_NAMES | C.WORLD_OBJECT_GEOMETRY):
+            message.world.collision_objects = [
+                self._object(identity, parts, geometry=bool(components & C.WORLD_OBJECT_GEOMETRY))
+                for identity, parts in grouped(scene.objects).items()
+            ]
+        if components & C.ALLOWED_COLLISION_MATRIX:
+            message.allowed_collision_matrix = self.allowed(scene)
+        if components & C.LINK_PADDING_AND_SCALING:
+            message.link_padding = [LinkPadding(link_name=link) for link in descriptor.collision]
+            message.link_scale = [LinkScale(link_name=link, scale=1.0) for link in descriptor.collision]
+        if components & C.OBJECT_COLORS:
+            message.object_colors = [
+                ObjectColor(id=name, color=ColorRGBA(r=r, g=g, b=b, a=a))
+                for name, (r, g, b, a) in self._colours.items()
+            ]
+        return message
+
+    def allowed(self, scene: Scene) -> Any:
+        """Which pairs are not checked: those of the descriptor, and all of what the scene ignores."""
+        links = list(self._robot.descriptor.collision)
+        ignored = set(scene.ignored_links)
+        names = [*links, *(id_of(name) for name in _ignored_objects(scene))]
+        pairs = {frozenset(pair) for pair in self._robot.descriptor.self_collision_ignore}
+        whole = ignored | set(names[len(links) :])
+        rows = [
+            [
+                (a == b and a in whole) or (a != b and (frozenset((a, b)) in pairs or a in whole or b in whole))
+                for b in names
+            ]
+            for a in names
+        ]
+        defaults = sorted(whole)
+        return AllowedCollisionMatrix(
+            entry_names=names,
+            entry_values=[AllowedCollisionEntry(enabled=row) for row in rows],
+            default_entry_names=defaults,
+            default_entry_values=[True] * len(defaults),
+        )
+
+    def _object(self, identity: str, parts: list[SceneObject], *, geometry: bool) -> Any:
+        base = self._robot.descriptor.base_link
+        origin = self._origins.get(identity)
+        if origin is None:
+            origin = placement(parts[0]) if len(parts) == 1 else np.eye(4)
+        return collision_object(identity, parts if geometry else [], origin, base)
+
+    def _attached(self, scene: Scene) -> list[Any]:
+        tip = self._robot.descriptor.tip_link
+        found = grouped(one.object for one in scene.attached)
+        touch = {id_of(one.object.name): one.touch_links for one in scene.attached}
+        return [
+            AttachedCollisionObject(
+                link_name=tip,
+                object=collision_object(
+                    identity, parts, placement(parts[0]) if len(parts) == 1 else matrix((0.0, 0.0, 0.0)), tip
+                ),
+                touch_links=list(touch[identity]),
+            )
+            for identity, parts in found.items()
+        ]
+
+
+def _ignored_objects(scene: Scene) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(getattr(scene, "ignored_objects", ())))

@@ -1,0 +1,299 @@
+"""The planning scene: its services and topics, both ways."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, MutableMapping
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from moveit_msgs.msg import (
+    AttachedCollisionObject,
+    CollisionObject,
+    PlanningScene,
+    PlanningSceneComponents,
+)
+from moveit_msgs.msg import MoveItErrorCodes as Val
+from moveit_msgs.srv import ApplyPlanningScene, GetPlanningScene
+from numpy.typing import NDArray
+from rclpy.qos import QoSProfile
+
+from zarm_contract.errors import InternalError, ZarmError
+from zarm_contract.messages import Scene
+from zarm_ros_bridge.convert.colours import Colour
+from zarm_ros_bridge.convert.joints import known_as
+from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.frames import Frames
+from zarm_ros_bridge.moveit.collision_objects import id_of, moved, name_of, origin_of, parts_of, placement
+from zarm_ros_bridge.moveit.error_codes import Refusal
+from zarm_ros_bridge.moveit.planning_scene import ALL, PlanningSceneMessages, grouped
+from zarm_ros_bridge.ros import Ros
+
+log = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+EDITS = QoSProfile(depth=100)
+STATE_PERIOD = 0.25
+"""How often (s) the state of the robot is published in the scene while it moves, as MoveIt does by default."""
+_MOVED = 1e-4
+
+
+class PlanningScenes:
+    """Edits the scene, and shows it. Use it in `with`."""
+
+    def __init__(self, ros: Ros, engine: Engine, frames: Frames, colours: MutableMapping[str, Colour]) -> None:
+        self._engine = engine
+        self._frames = frames
+        self._colours = colours
+        self._origins: dict[str, Array] = {}
+        self._messages = PlanningSceneMessages(engine.robot, self._origins, colours)
+        self._editing = threading.Lock()
+        self._changed = threading.Event()
+        self._ended = False
+        self._scene: Scene | None = None
+        self._log = ros.node.get_logger()
+        self._publisher = ros.node.create_publisher(PlanningScene, "monitored_planning_scene", 10)
+        self._thread = threading.Thread(target=self._publish, name="planning scene")
+        ros.serve(GetPlanningScene, "get_planning_scene", self._get)
+        ros.serve(ApplyPlanningScene, "apply_planning_scene", self._apply)
+        for kind, topic, edit in (
+            (CollisionObject, "collision_object", self._object),
+            (AttachedCollisionObject, "attached_collision_object", self._attachment),
+            (PlanningScene, "planning_scene", self._edit),
+        ):
+            ros.node.create_subscription(kind, topic, self._listened(topic, edit), EDITS, callback_group=ros.group)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        self._engine.bus.watch(self._engine.keys.scene, self._on_scene)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended = True
+        self._changed.set()
+        self._thread.join()
+
+    def check_diff(self, scene: Any) -> None:
+        """Raises Refusal for a scene that is to hold for one plan alone."""
+        world, state = scene.world, scene.robot_state
+        if world.collision_objects or state.attached_collision_objects or scene.allowed_collision_matrix.entry_names:
+            raise Refusal(
+                Val.INVALID_OBJECT_NAME,
+                "a plan is made in the scene that all see; apply the changes with apply_planning_scene first",
+                "planning_options.planning_scene_diff",
+            )
+
+    # -- services and topics --
+
+    def _get(self, request: Any, response: Any) -> Any:
+        try:
+            scene = self._engine.client.scene.read()
+            components = request.components.components or ALL
+            response.scene = self._messages.message(scene, self._joints(), components)
+        except ZarmError as error:
+            self._log.warning(f"get_planning_scene: {error}")
+        except Exception:  # one request fails and the service continues; in rclpy it would end the thread
+            log.exception("get_planning_scene failed")
+        return response
+
+    def _apply(self, request: Any, response: Any) -> Any:
+        response.success = self._done("apply_planning_scene", self._edit, request.scene)
+        return response
+
+    def _listened(self, topic: str, edit: Callable[[Any], None]) -> Callable[[Any], None]:
+        def received(message: Any) -> None:
+            self._done(topic, edit, message)
+
+        return received
+
+    def _done(self, name: str, edit: Callable[[Any], None], message: Any) -> bool:
+        """Whether an edit was applied; the log on ROS has the reason if not."""
+        try:
+            with self._editing:
+                edit(message)
+        except ZarmError as error:
+            self._log.error(f"{name}: {error}")
+            return False
+        except Exception:  # likewise
+            log.exception("edit failed name=%s", name)
+            self._log.error(f"{name}: {InternalError('the ROS bridge failed on this edit; its log has the trace')}")
+            return False
+        return True
+
+    # -- edits --
+
+    def _edit(self, message: Any) -> None:
+        """A whole scene, or with `is_diff` what changes. Raises Refusal, and the planner's errors."""
+        for i, padding in enumerate(message.link_padding):
+            if padding.padding != 0.0:
+                raise Refusal(
+                    Val.FAILURE,
+                    "links are not padded one by one; zarm keeps a margin to all objects: set margin in the planner's settings",
+                    f"link_padding[{i}].padding",
+                )
+        for i, scale in enumerate(message.link_scale):
+            if scale.scale != 1.0:
+                raise Refusal(Val.FAILURE, "links are not scaled; leave it at 1", f"link_scale[{i}].scale")
+        if message.world.octomap.octomap.data:
+            raise Refusal(
+                Val.SENSOR_INFO_STALE, "an octomap is not taken; add the objects that it shows", "world.octomap"
+            )
+        if not message.is_diff:
+            self._clear()
+        for attached in message.robot_state.attached_collision_objects:
+            if attached.object.operation == CollisionObject.REMOVE:
+                self._attachment(attached)
+        for item in message.world.collision_objects:
+            self._object(item)
+        for attached in message.robot_state.attached_collision_objects:
+            if attached.object.operation != CollisionObject.REMOVE:
+                self._attachment(attached)
+        if message.allowed_collision_matrix.entry_names or message.allowed_collision_matrix.default_entry_names:
+            self._allow(message.allowed_collision_matrix)
+        for colour in message.object_colors:
+            c = colour.color
+            self._colours[name_of(colour.id)] = (c.r, c.g, c.b, c.a)
+
+    def _object(self, message: Any) -> None:
+        scene = self._engine.client.scene
+        if message.operation == CollisionObject.REMOVE:
+            self._remove(message.id)
+            return
+        name = name_of(message.id)
+        stamp = message.header.stamp
+        frame = self._frames.pose_of(message.header.frame_id, stamp.sec + stamp.nanosec * 1e-9)
+        known = grouped(scene.read().objects).get(name, [])
+        if message.operation == CollisionObject.MOVE:
+            if not known:
+                raise Refusal(Val.INVALID_OBJECT_NAME, f"there is no object {message.id!r} to move", "id")
+            before = self._origins.get(name, placement(known[0]))
+            now = origin_of(message, frame, "collision_object")
+            scene.add(*(moved(part, now @ np.linalg.inv(before)) for part in known), replace=True)
+            self._origins[name] = now
+            return
+        parts = parts_of(message, name, frame, "collision_object")
+        if message.operation == CollisionObject.APPEND and known:
+            whole = [*known, *parts]
+            parts = tuple(part.model_copy(update={"name": f"{name}..{i}"}) for i, part in enumerate(whole))
+        elif message.operation not in (CollisionObject.ADD, CollisionObject.APPEND):
+            raise Refusal(Val.INVALID_OBJECT_NAME, f"{message.operation} is no operation on an object", "operation")
+        else:
+            self._origins[name] = origin_of(message, frame, "collision_object")
+        names = {part.name for part in parts}
+        scene.add(*parts, replace=True)
+        if gone := [part.name for part in known if part.name not in names]:
+            scene.remove(*gone)
+
+    def _remove(self, identity: str) -> None:
+        """Remove an object, or with an empty id all, as MoveIt does."""
+        scene = self._engine.client.scene
+        if not identity:
+            scene.clear()
+            self._origins.clear()
+            return
+        name = name_of(identity)
+        parts = grouped(scene.read().objects).get(name)
+        if not parts:
+            raise Refusal(Val.INVALID_OBJECT_NAME, f"there is no object {identity!r} to remove", "id")
+        scene.remove(*(part.name for part in parts))
+        self._origins.pop(name, None)
+        self._colours.pop(name, None)
+
+    def _attachment(self, message: Any) -> None:
+        scene = self._engine.client.scene
+        identity = message.object.id
+        held = grouped(one.object for one in scene.read().attached)
+        if message.object.operation == CollisionObject.REMOVE:
+            names = held if not identity else [name_of(identity)]
+            for name in names:
+                if name not in held:
+                    raise Refusal(Val.INVALID_OBJECT_NAME, f"the robot carries no object {identity!r}", "object.id")
+                for part in held[name]:
+                    scene.detach(part.name)
+            return
+        self._check_link(message.link_name)
+        if message.object.primitives or message.object.meshes or message.object.planes:
+            self._object(message.object)
+        name = name_of(identity, "object.id")
+        parts = grouped(scene.read().objects).get(name)
+        if not parts:
+            raise Refusal(
+                Val.INVALID_OBJECT_NAME, f"there is no object {identity!r} in the scene to attach", "object.id"
+            )
+        links = self._engine.robot.descriptor.collision
+        touch = {known_as(link, links) for link in (message.link_name, *message.touch_links)}
+        for part in parts:
+            scene.attach(part.name, touch_links=[link for link in links if link in touch])
+
+    def _check_link(self, name: str) -> None:
+        """Raises Refusal unless the link moves with the tip, to which objects are attached."""
+        links, tip = self._frames.links, self._engine.robot.descriptor.tip_link
+        link = known_as(name, links.links) or tip
+        if link not in links.links:
+            raise Refusal(
+                Val.INVALID_LINK_NAME,
+                f"the robot has no link {name!r}; choose among {', '.join(links.links)}",
+                "link_name",
+            )
+        if links.rigid(link) != links.rigid(tip):
+            raise Refusal(
+                Val.INVALID_LINK_NAME,
+                f"objects are attached to {tip}, or to a link that is fixed to it; {name} is not",
+                "link_name",
+            )
+
+    def _allow(self, matrix: Any) -> None:
+        """Ignore collisions of what may touch everything; raises Refusal for pairs that zarm does not allow apart."""
+        raise Refusal(Val.FAILURE, "the allowed collision matrix is not taken", "allowed_collision_matrix")
+
+    def _clear(self) -> None:
+        scene = self._engine.client.scene
+        for attached in scene.read().attached:
+            scene.detach(attached.object.name)
+        scene.clear()
+        self._origins.clear()
+
+    # -- what is published --
+
+    def _on_scene(self, _: str, scene: Scene) -> None:
+        names = {id_of(item.name) for item in scene.objects} | {id_of(one.object.name) for one in scene.attached}
+        for gone in set(self._origins) - names:
+            self._origins.pop(gone, None)
+        self._scene = scene
+        self._changed.set()
+
+    def _publish(self) -> None:
+        shown: Scene | None = None
+        at: tuple[float, ...] = ()
+        subscribers = 0
+        while not self._ended:
+            self._changed.wait(STATE_PERIOD)
+            self._changed.clear()
+            scene, before = self._scene, subscribers
+            subscribers = self._publisher.get_subscription_count()
+            if scene is None or not subscribers:
+                shown = None
+                continue
+            joints = self._joints()
+            if scene is not shown or subscribers > before:
+                self._publisher.publish(self._messages.message(scene, joints))
+                shown, at = scene, joints or ()
+            elif joints is not None and _differ(joints, at):
+                diff = self._messages.message(scene, joints, PlanningSceneComponents.ROBOT_STATE)
+                diff.is_diff = diff.robot_state.is_diff = True
+                self._publisher.publish(diff)
+                at = joints
+
+    def _joints(self) -> tuple[float, ...] | None:
+        try:
+            return self._frames.joints()
+        except ZarmError:
+            return None
+
+
+def _differ(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
+    return len(a) != len(b) or any(abs(x - y) > _MOVED for x, y in zip(a, b, strict=True))
