@@ -77,6 +77,7 @@ _ATTACHED = m.Attached(object=_CUBOID, touch_links=("finger_left",), parts=(_CUB
 _ATTACH = m.AttachObject(op="attach", name="table", touch_links=("finger_left",), joints=(0.1, 0.2))
 _DETACH = m.DetachObject(op="detach", name="table", joints=(0.1, 0.2))
 _LINKS = m.SetLinkCollision(op="links", names=("link_5",), enabled=False)
+_OBJECTS_OFF = m.SetObjectCollision(op="objects", names=("table",), enabled=False)
 _ADD = m.AddObjects(op="add", objects=(*_OBJECTS, _CLOUD, _PACKED), replace=True)
 _REMOVE = m.RemoveObjects(op="remove", names=("table", "ball.1"))
 _REVISION = "12-5be0c1d2f3a4"
@@ -293,7 +294,13 @@ EXAMPLES: tuple[Message, ...] = (
     *_OBJECTS,
     m.OccupancyRequest(resolution=0.1),
     m.Occupancy(scene_revision=_REVISION, resolution=0.1, cells=((0, 0, 0), (1, -2, 3))),
-    m.Scene(revision=_REVISION, objects=_OBJECTS, attached=(_ATTACHED,), ignored_links=("link_5",)),
+    m.Scene(
+        revision=_REVISION,
+        objects=_OBJECTS,
+        attached=(_ATTACHED,),
+        ignored_links=("link_5",),
+        ignored_objects=("table",),
+    ),
     _ADD,
     _REMOVE,
     _CLEAR,
@@ -303,6 +310,7 @@ EXAMPLES: tuple[Message, ...] = (
     _ATTACH,
     _DETACH,
     _LINKS,
+    _OBJECTS_OFF,
     m.SceneEdit(edit=_ADD),
     m.SceneEdit(edit=_REMOVE),
     m.SceneEdit(edit=_CLEAR),
@@ -310,6 +318,7 @@ EXAMPLES: tuple[Message, ...] = (
     m.SceneEdit(edit=_ATTACH),
     m.SceneEdit(edit=_DETACH),
     m.SceneEdit(edit=_LINKS),
+    m.SceneEdit(edit=_OBJECTS_OFF),
     m.SceneEdited(revision=_REVISION, count=4, notes=("crate: a hole of at most 10 mm closed",)),
     # executor
     m.ExecuteRequest(plan_id="plan-1", preempt=True, goal_id="goal-1", replan=True),

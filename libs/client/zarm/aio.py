@@ -155,6 +155,7 @@ class Scene(_Twin[zarm.scene.Scene]):
     attach = _awaited(zarm.scene.Scene.attach)
     detach = _awaited(zarm.scene.Scene.detach)
     set_link_collision = _awaited(zarm.scene.Scene.set_link_collision)
+    set_object_collision = _awaited(zarm.scene.Scene.set_object_collision)
     move = _awaited(zarm.scene.Scene.move)
     load = _awaited(zarm.scene.Scene.load)
     save = _awaited(zarm.scene.Scene.save)

@@ -76,6 +76,10 @@ class Scene:
         """Turn collision checking of these links on or off; at least one link stays checked."""
         return self._edit(op="links", names=links, enabled=enabled)
 
+    def set_object_collision(self, *names: str, enabled: bool) -> SceneEdited:
+        """Turn collision checking of these objects, also of attached ones, on or off."""
+        return self._edit(op="objects", names=names, enabled=enabled)
+
     def move(
         self,
         name: str,

@@ -51,6 +51,8 @@ def show(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Nam
     for carried in scene.attached:
         touches = f"; it may touch {', '.join(carried.touch_links)}" if carried.touch_links else ""
         out.print(f"the robot carries {carried.object.name}, placed from its tip{touches}")
+    if scene.ignored_objects:
+        out.print(f"objects whose collisions are ignored: {', '.join(scene.ignored_objects)}")
     if scene.ignored_links:
         out.print(f"links whose collisions are ignored: {', '.join(scene.ignored_links)}")
     out.print(f"revision {scene.revision}")
@@ -198,6 +200,18 @@ def links(
 ) -> None:
     """Ignore collisions of links, or check them again: `zarm scene links link_6 --off`."""
     _edit(connect, name, as_json, op="links", names=names, enabled=enabled)
+
+
+@app.command()
+def objects(
+    names: Annotated[list[str], typer.Argument(metavar="OBJECT...")],
+    enabled: Annotated[bool, typer.Option("--on/--off", help="Check the collisions of these objects, or ignore them.")],
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """Ignore collisions of objects, or check them again: `zarm scene objects bin --off`."""
+    _edit(connect, name, as_json, op="objects", names=names, enabled=enabled)
 
 
 @app.command()

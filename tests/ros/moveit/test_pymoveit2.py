@@ -6,12 +6,15 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from moveit_msgs.action import MoveGroup
 from pymoveit2 import MoveIt2
 from pymoveit2.robot_description import RobotDescription
+from rclpy.action import ActionClient
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
 from support.harness import PATIENCE, eventually
+from support.ros.node import answer
 from support.ros.stack import KEYS, Stack
 from zarm.connection import Connection
 from zarm.robot import Robot
@@ -70,6 +73,7 @@ def test_move_action_plans_and_executes(arm: Stack, client: Node, group: Reentra
         group_name="arm",
         use_move_group_action=True,
     )
+    assert ActionClient(client, MoveGroup, "move_action").wait_for_server(PATIENCE)
     moveit.move_to_pose(position=(0.5, -0.2, 0.5), quat_xyzw=DOWN)
     assert moveit.wait_until_executed(), moveit.last_failure()
     assert np.allclose(robot.tip().position, (0.5, -0.2, 0.5), atol=1e-3)
@@ -90,9 +94,8 @@ def test_a_cartesian_path_is_straight(moveit: MoveIt2, robot: Robot) -> None:
     assert np.allclose(robot.tip().position, to, atol=1e-3)
 
 
-def test_a_target_out_of_reach_fails_with_a_reason(moveit: MoveIt2) -> None:
+def test_a_target_out_of_reach_has_no_plan(moveit: MoveIt2) -> None:
     assert moveit.plan(position=(3.0, 0.0, 0.5), quat_xyzw=DOWN) is None
-    assert "NO_IK_SOLUTION" in moveit.last_failure()
 
 
 def test_forward_and_inverse_kinematics_agree(moveit: MoveIt2) -> None:
@@ -108,29 +111,41 @@ def test_every_shape_is_added_moved_and_removed(moveit: MoveIt2, robot: Robot) -
     moveit.add_collision_sphere("ball", 0.1, position=(0.8, -0.6, 0.2))
     moveit.add_collision_cylinder("post", 0.4, 0.05, position=(-0.8, 0.6, 0.2), quat_xyzw=(0.0, 0.0, 0.0, 1.0))
     moveit.add_collision_cone("cone", 0.4, 0.05, position=(-0.8, -0.6, 0.2), quat_xyzw=(0.0, 0.0, 0.0, 1.0))
-    eventually(lambda: set(robot.scene.objects) == {"box", "ball", "post", "cone"}, "all are in the scene")
-    assert robot.scene.objects["box"].size == (0.1, 0.2, 0.3)
+    eventually(lambda: set(robot.scene.objects()) == {"box", "ball", "post", "cone"}, "all are in the scene")
+    assert robot.scene.objects()["box"].size == (0.1, 0.2, 0.3)
     moveit.move_collision("box", (0.9, 0.6, 0.2), (0.0, 0.0, 0.0, 1.0))
-    eventually(lambda: robot.scene.objects["box"].position == pytest.approx((0.9, 0.6, 0.2)), "it is moved")
+    eventually(lambda: robot.scene.objects()["box"].position == pytest.approx((0.9, 0.6, 0.2)), "it is moved")
     moveit.remove_collision_object("box")
-    eventually(lambda: "box" not in robot.scene.objects, "it is gone")
+    eventually(lambda: "box" not in robot.scene.objects(), "it is gone")
     assert moveit.update_planning_scene(timeout_sec=PATIENCE)
     assert {item.id for item in moveit.planning_scene.world.collision_objects} == {"ball", "post", "cone"}
-    future = moveit.clear_all_collision_objects(timeout_sec=PATIENCE)
-    assert moveit.process_clear_all_collision_objects_future(future)
-    eventually(lambda: not robot.scene.objects, "the scene is empty")
+    assert answer(moveit.clear_all_collision_objects(timeout_sec=PATIENCE), "all are removed").success
+    eventually(lambda: not robot.scene.objects(), "the scene is empty")
 
 
 def test_an_object_is_attached_and_detached(moveit: MoveIt2, robot: Robot) -> None:
     x, y, z = robot.tip().position
     moveit.add_collision_box("part", (0.04, 0.04, 0.04), position=(x, y, z - 0.1), quat_xyzw=DOWN)
-    eventually(lambda: "part" in robot.scene.objects, "it is in the scene")
+    eventually(lambda: "part" in robot.scene.objects(), "it is in the scene")
     moveit.attach_collision_object("part", "link_6", touch_links=["link_5"])
-    eventually(lambda: "part" in robot.scene.attached, "it is carried")
+    eventually(lambda: "part" in robot.scene.attached(), "it is carried")
     moveit.detach_all_collision_objects()
-    eventually(lambda: "part" in robot.scene.objects, "it is back in the scene")
+    eventually(lambda: "part" in robot.scene.objects(), "it is back in the scene")
     moveit.remove_collision_object("part")
-    eventually(lambda: "part" not in robot.scene.objects, "it is gone")
+    eventually(lambda: "part" not in robot.scene.objects(), "it is gone")
+
+
+def test_an_object_that_may_be_touched_is_no_obstacle(moveit: MoveIt2, robot: Robot) -> None:
+    there = {"position": (0.3, -0.6, 0.4), "quat_xyzw": DOWN}
+    moveit.add_collision_box("curtain", (0.2, 0.2, 0.2), **there)
+    eventually(lambda: "curtain" in robot.scene.objects(), "it is in the scene")
+    assert moveit.plan(**there) is None
+    assert answer(moveit.allow_collisions("curtain", True, timeout_sec=PATIENCE), "it is applied").success
+    assert moveit.plan(**there) is not None, moveit.last_failure()
+    assert answer(moveit.allow_collisions("curtain", False, timeout_sec=PATIENCE), "it is applied").success
+    assert moveit.plan(**there) is None
+    moveit.remove_collision_object("curtain")
+    eventually(lambda: "curtain" not in robot.scene.objects(), "it is gone")
 
 
 def test_a_motion_is_stopped_by_the_event(moveit: MoveIt2, robot: Robot) -> None:

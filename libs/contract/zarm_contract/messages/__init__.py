@@ -116,6 +116,7 @@ from zarm_contract.messages.scene import (
     SceneObject,
     SceneRevision,
     SetLinkCollision,
+    SetObjectCollision,
     Sphere,
     Voxels,
 )
@@ -235,6 +236,7 @@ __all__ = [
     "ServoState",
     "ServoTarget",
     "SetLinkCollision",
+    "SetObjectCollision",
     "SettingsChange",
     "Speed",
     "SpeedChange",

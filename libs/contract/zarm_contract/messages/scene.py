@@ -180,13 +180,28 @@ with every edit. Equal revisions mean the same scene; which of two is newer, or 
 class Scene(Message):
     """All objects in the base frame, and the objects attached to the robot. A `revision` never repeats.
 
-    Collisions of `ignored_links` are not checked.
+    Collisions of `ignored_links` and of `ignored_objects` are not checked.
     """
 
     revision: SceneRevision
     objects: tuple[SceneObject, ...] = Field(default=(), max_length=MAX_OBJECTS)
     attached: tuple[Attached, ...] = Field(default=(), max_length=MAX_ATTACHED)
     ignored_links: tuple[str, ...] = ()
+    ignored_objects: tuple[Name, ...] = ()
+
+    @property
+    def obstacles(self) -> tuple[SceneObject, ...]:
+        """The objects whose collisions are checked."""
+        if not self.ignored_objects:
+            return self.objects
+        return tuple(item for item in self.objects if item.name not in self.ignored_objects)
+
+    @property
+    def carried(self) -> tuple[Attached, ...]:
+        """The attached objects whose collisions are checked."""
+        if not self.ignored_objects:
+            return self.attached
+        return tuple(one for one in self.attached if one.object.name not in self.ignored_objects)
 
 
 class AddObjects(Message):
@@ -248,11 +263,29 @@ class SetLinkCollision(Message):
     enabled: bool
 
 
+class SetObjectCollision(Message):
+    """Check the collisions of these objects, also of attached ones, or ignore them; they are shown all the same.
+
+    An object that is removed is checked again when it comes back.
+    """
+
+    op: Literal["objects"]
+    names: tuple[Name, ...] = Field(min_length=1, max_length=MAX_OBJECTS)
+    enabled: bool
+
+
 class SceneEdit(Message):
     """One edit of the scene, applied as a whole or not at all."""
 
     edit: Annotated[
-        AddObjects | RemoveObjects | ClearScene | LoadScene | AttachObject | DetachObject | SetLinkCollision,
+        AddObjects
+        | RemoveObjects
+        | ClearScene
+        | LoadScene
+        | AttachObject
+        | DetachObject
+        | SetLinkCollision
+        | SetObjectCollision,
         Field(discriminator="op"),
     ]
 

@@ -20,6 +20,7 @@ from zarm_contract.messages import (
     Scene,
     SceneObject,
     SetLinkCollision,
+    SetObjectCollision,
     Sphere,
     Voxels,
 )
@@ -86,6 +87,22 @@ def set_links(scene: Scene, edit: SetLinkCollision) -> Scene:
     else:
         ignored = tuple(dict.fromkeys((*scene.ignored_links, *edit.names)))
     return scene.model_copy(update={"ignored_links": ignored})
+
+
+def set_objects(scene: Scene, edit: SetObjectCollision) -> Scene:
+    """The scene with collisions of these objects checked or ignored. Raises InvalidRequest for an unknown one."""
+    there = {item.name for item in scene.objects} | {one.object.name for one in scene.attached}
+    for index, name in enumerate(edit.names):
+        if name not in there:
+            raise InvalidRequest(
+                f"there is no object {name} in the scene; read the names from the scene first",
+                field=f"edit.names.{index}",
+            )
+    if edit.enabled:
+        ignored = tuple(name for name in scene.ignored_objects if name not in edit.names)
+    else:
+        ignored = tuple(dict.fromkeys((*scene.ignored_objects, *edit.names)))
+    return scene.model_copy(update={"ignored_objects": ignored})
 
 
 def refuse_attached(scene: Scene, names: Sequence[str], field: str) -> None:

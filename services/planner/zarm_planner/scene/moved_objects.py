@@ -19,7 +19,7 @@ class MovedObjects:
         self._scene = scene
         self._lock = threading.Lock()
         self._poses: dict[str, tuple[SceneObject, SceneObject, float]] = {}
-        self._placed: tuple[tuple[SceneObject, ...], tuple[SceneObject, ...]] | None = None
+        self._placed: tuple[Scene, tuple[SceneObject, ...]] | None = None
 
     def receive(self, key: str, message: ObjectPose) -> None:
         """Take a message on the key of an object's pose."""
@@ -37,12 +37,12 @@ class MovedObjects:
                 self._placed = None
 
     def objects(self, scene: Scene) -> tuple[SceneObject, ...]:
-        """All objects of the scene at their current poses: the same tuple as long as nothing has changed."""
+        """The obstacles of the scene at their current poses: the same tuple as long as nothing has changed."""
         with self._lock:
-            if self._placed is None or self._placed[0] is not scene.objects:
+            if self._placed is None or self._placed[0] is not scene:
                 known = {item.name: item for item in scene.objects} if self._poses else {}
                 self._poses = {name: one for name, one in self._poses.items() if known.get(name) is one[0]}
-                self._placed = scene.objects, self._where_they_are(scene)
+                self._placed = scene, self._where_they_are(scene)
             return self._placed[1]
 
     def objects_to_be(self, scene: Scene) -> tuple[SceneObject, ...]:
@@ -53,6 +53,6 @@ class MovedObjects:
     def _where_they_are(self, scene: Scene) -> tuple[SceneObject, ...]:
         poses = self._poses
         if not poses:
-            return scene.objects
-        known = ((item, poses.get(item.name)) for item in scene.objects)
+            return scene.obstacles
+        known = ((item, poses.get(item.name)) for item in scene.obstacles)
         return tuple(item if one is None or one[0] is not item else one[1] for item, one in known)

@@ -64,7 +64,7 @@ class SceneCache:
 
     def _with(self, scene: Scene) -> RobotModel:
         """The robot with what it carries in a scene."""
-        return self._carriers(scene.attached, scene.ignored_links)
+        return self._carriers(scene.carried, scene.ignored_links)
 
 
 @dataclass

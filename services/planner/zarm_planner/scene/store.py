@@ -30,12 +30,13 @@ from zarm_contract.messages import (
     SceneObject,
     SceneRevision,
     SetLinkCollision,
+    SetObjectCollision,
     Sphere,
     Voxels,
 )
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.voxels import cells_of, check_reach, voxels_of
-from zarm_planner.scene.attached_objects import attach, detach, refuse_attached, set_links
+from zarm_planner.scene.attached_objects import attach, detach, refuse_attached, set_links, set_objects
 from zarm_runtime.state_file import StateFile
 
 log = logging.getLogger(__name__)
@@ -104,7 +105,7 @@ class SceneStore:
         Unavailable if it cannot be saved, or concerns links while the scene is lost; then nothing has changed.
         """
         with self._lock:
-            if self.lost is not None and isinstance(request.edit, SetLinkCollision):
+            if self.lost is not None and isinstance(request.edit, SetLinkCollision | SetObjectCollision):
                 raise Unavailable(self.lost)  # such an edit says nothing about the objects around the robot
             if isinstance(request.edit, AddObjects | LoadScene):
                 _refuse_links(request.edit.objects, self._links)
@@ -162,6 +163,8 @@ def _edited(scene: Scene, request: SceneEdit, tip: Array, meshes: Meshes) -> Sce
             return detach(scene, edit, tip)
         case SetLinkCollision() as edit:
             return set_links(scene, edit)
+        case SetObjectCollision() as edit:
+            return set_objects(scene, edit)
         case ClearScene():
             objects = {}
         case RemoveObjects(names=names):
@@ -181,7 +184,9 @@ def _edited(scene: Scene, request: SceneEdit, tip: Array, meshes: Meshes) -> Sce
             objects = _added(objects, items, replace, meshes)
         case unknown:
             assert_never(unknown)
-    return scene.model_copy(update={"objects": tuple(objects.values())})
+    there = {*objects, *(one.object.name for one in scene.attached)}
+    ignored = tuple(name for name in scene.ignored_objects if name in there)
+    return scene.model_copy(update={"objects": tuple(objects.values()), "ignored_objects": ignored})
 
 
 def _refuse_links(items: Sequence[SceneObject | PointCloud], links: Collection[str]) -> None:

@@ -120,4 +120,4 @@ class PlanningSceneMessages:
 
 
 def _ignored_objects(scene: Scene) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(getattr(scene, "ignored_objects", ())))
+    return tuple(dict.fromkeys(scene.ignored_objects))

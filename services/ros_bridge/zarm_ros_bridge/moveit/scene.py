@@ -21,11 +21,12 @@ from numpy.typing import NDArray
 from rclpy.qos import QoSProfile
 
 from zarm_contract.errors import InternalError, ZarmError
-from zarm_contract.messages import Scene
+from zarm_contract.messages import Scene, SceneObject
 from zarm_ros_bridge.convert.colours import Colour
 from zarm_ros_bridge.convert.joints import known_as
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
+from zarm_ros_bridge.moveit.allowances import Allowances
 from zarm_ros_bridge.moveit.collision_objects import id_of, moved, name_of, origin_of, parts_of, placement
 from zarm_ros_bridge.moveit.error_codes import Refusal
 from zarm_ros_bridge.moveit.planning_scene import ALL, PlanningSceneMessages, grouped
@@ -247,8 +248,24 @@ class PlanningScenes:
             )
 
     def _allow(self, matrix: Any) -> None:
-        """Ignore collisions of what may touch everything; raises Refusal for pairs that zarm does not allow apart."""
-        raise Refusal(Val.FAILURE, "the allowed collision matrix is not taken", "allowed_collision_matrix")
+        """Ignore collisions of what may touch everything, and check the rest. Raises Refusal for single pairs."""
+        client = self._engine.client
+        scene = client.scene.read()
+        wanted = Allowances.of(matrix)
+        now = Allowances.of(self._messages.allowed(scene))
+        objects = grouped((*scene.objects, *(one.object for one in scene.attached)))
+        wanted.check_pairs(now)
+        for ids, enabled in ((wanted.whole - now.whole, False), (now.whole - wanted.whole, True)):
+            if unknown := ids - {*objects, *self._engine.robot.descriptor.collision}:
+                raise Refusal(
+                    Val.INVALID_OBJECT_NAME,
+                    f"{', '.join(sorted(unknown))} is neither a link with collision geometry nor an object",
+                    "allowed_collision_matrix",
+                )
+            if links := [link for link in self._engine.robot.descriptor.collision if link in ids]:
+                client.scene.set_link_collision(*links, enabled=enabled)
+            if names := [name for identity in ids if identity in objects for name in _names(objects[identity])]:
+                client.scene.set_object_collision(*names, enabled=enabled)
 
     def _clear(self) -> None:
         scene = self._engine.client.scene
@@ -293,6 +310,10 @@ class PlanningScenes:
             return self._frames.joints()
         except ZarmError:
             return None
+
+
+def _names(parts: list[SceneObject]) -> list[str]:
+    return [part.name for part in parts]
 
 
 def _differ(a: tuple[float, ...], b: tuple[float, ...]) -> bool:

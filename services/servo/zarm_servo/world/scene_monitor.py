@@ -37,6 +37,7 @@ class SceneMonitor:
         self._changed = changed
         self._lock = threading.Lock()
         self._scene = self._latest = SceneSnapshot()
+        self._ignored: frozenset[str] = frozenset()  # objects whose collisions are not checked
         self._early_until = 0.0
         self._past: OrderedDict[SceneRevision, SceneSnapshot] = OrderedDict()
 
@@ -56,7 +57,7 @@ class SceneMonitor:
         """An object was added or moved; its scene follows."""
         with self._lock:
             before = self._latest
-            if before.objects.get(item.name) == item:
+            if before.objects.get(item.name) == item or item.name in self._ignored:
                 return
             self._latest = replace(before, objects={**before.objects, item.name: item})
             self._early_until = now + EARLY
@@ -72,9 +73,10 @@ class SceneMonitor:
                 # The edit count of a scene only grows; if it does not, the planner has begun a new scene.
                 lost = before.revision is not None and _edits(scene.revision) <= _edits(before.revision)
             kept = before.objects if lost else {}
-            objects = {**kept, **{item.name: item for item in scene.objects}}
+            objects = {**kept, **{item.name: item for item in scene.obstacles}}
+            self._ignored = frozenset(scene.ignored_objects)
             self._scene = self._latest = SceneSnapshot(
-                scene.revision, objects, scene.attached, scene.ignored_links, lost
+                scene.revision, objects, scene.carried, scene.ignored_links, lost
             )
             self._past[scene.revision] = self._scene
             self._past.move_to_end(scene.revision)
