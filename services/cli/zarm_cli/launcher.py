@@ -91,6 +91,7 @@ def launch(
     strategy: str | None = None,
     driver: SimulatedDriver | None = None,
     ros: bool = False,
+    moveit: str | None = None,
     connect: str | None = None,
     listen: str = DEFAULT_ENDPOINT,
     state: Path,
@@ -100,12 +101,13 @@ def launch(
     view: str | None = None,
 ) -> Iterator[Stack]:
     """Start the services of one robot, with a router of their own at `listen` or using the one at `connect`; at `view`,
-    `HOST:PORT`, also the page.
+    `HOST:PORT`, also the page; with `moveit`, the planning group of MoveIt's clients, also the bridge.
 
     Leaving stops them in order. Raises InvalidRequest for an invalid descriptor or name and for a robot already running
     on that bus, Unavailable if the port is taken, no router answers, or packages are missing.
     """
     _require("the planner cannot run", _PLANNER_PACKAGES, "`pip install 'zarm[planner]'` installs what is needed")
+    ros = ros or moveit is not None
     if ros:
         _require(
             "ROS 2 cannot be bridged to",
@@ -122,7 +124,8 @@ def launch(
     choice = [] if strategy is None else ["--strategy", strategy]
     folders = [word for folder in meshes for word in ("--meshes", str(folder))]
     simulated = {"leeloo_sim": ("zarm_leeloo_sim.service", [*arguments])} if driver is SimulatedDriver.sim else {}
-    bridge = {"ros_bridge": ("zarm_ros_bridge.service", [*arguments])} if ros else {}
+    interfaces = [] if moveit is None else ["--moveit", "--group", moveit]
+    bridge = {"ros_bridge": ("zarm_ros_bridge.service", [*arguments, *interfaces])} if ros else {}
     programs = {
         **simulated,  # this and the bridge before the executor, which may wait for a driver and at the end brakes by it
         **bridge,
@@ -200,6 +203,12 @@ def up(
     ] = None,
     driver: Annotated[SimulatedDriver | None, typer.Option(help="Also start a simulated driver.")] = None,
     ros: Annotated[bool, typer.Option("--ros", help="Also start the ROS 2 bridge.")] = False,
+    moveit: Annotated[
+        bool, typer.Option("--moveit", help="Also start the ROS 2 bridge, with the interface of MoveIt's move_group.")
+    ] = False,
+    group: Annotated[
+        str, typer.Option(help="The name of the planning group that clients of MoveIt give.", metavar="NAME")
+    ] = "arm",
     connect: Annotated[
         str | None, typer.Option(envvar="ZARM_CONNECT", help="Join the router at this endpoint instead of running one.")
     ] = None,
@@ -248,6 +257,7 @@ def up(
             strategy=strategy,
             driver=driver,
             ros=ros,
+            moveit=group if moveit else None,
             connect=connect,
             listen=listen or DEFAULT_ENDPOINT,
             state=state or default_state(),

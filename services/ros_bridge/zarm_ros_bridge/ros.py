@@ -31,6 +31,8 @@ REQUESTS = QoSProfile(
 """Requests that may wait for a service. The default of ROS is 10 for all clients together: further ones are lost, and
 their clients wait for ever.
 """
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Late subscribers receive the last message."""
 
 
 class Ros:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Self
 
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState as RosJointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
@@ -19,11 +18,8 @@ from zarm_ros_bridge.convert.trajectories import ros_joint_trajectory
 from zarm_ros_bridge.description import shown_description
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.relay import DEPTH, Relay
-from zarm_ros_bridge.ros import Ros
+from zarm_ros_bridge.ros import LATCHED, Ros
 from zarm_runtime.publications import deliver
-
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Late subscribers receive the last message."""
 
 
 class Topics:

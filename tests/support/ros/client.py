@@ -25,10 +25,12 @@ class RosClient:
     _clients: dict[str, Client] = field(default_factory=dict)
 
     def call(self, kind: Any, name: str, /, **request: Any) -> Any:
-        """The response of a service of /unified_planner."""
+        """The response of a service, of /unified_planner unless its name begins with `/`."""
         client = self._clients.get(name)
         if client is None:
-            client = self._clients[name] = self.node.create_client(kind, f"/unified_planner/{name}")
+            client = self._clients[name] = self.node.create_client(
+                kind, name if name.startswith("/") else f"/unified_planner/{name}"
+            )
         assert client.wait_for_service(PATIENCE), f"there is no service {name}"
         return answer(client.call_async(kind.Request(**request)), f"{name} answers")
 

@@ -179,20 +179,20 @@ class Actions:
             raise Cancelled("the motion was ended before the robot had reached the goal")
 
     def _not_moved(self, error: ZarmError, text: str) -> MoveGroup.Result:
-        self._tell("move_action", text)
+        self._report("move_action", text)
         return MoveGroup.Result(error_code=error_code(error))
 
     def _not_moved_in_sequence(self, error: ZarmError, text: str) -> MoveGroupSequence.Result:
-        self._tell("sequence_move_group", text)
+        self._report("sequence_move_group", text)
         result = MoveGroupSequence.Result()
         result.response.error_code = error_code(error)
         return result
 
     def _not_executed(self, error: ZarmError, text: str) -> ExecuteTrajectory.Result:
-        self._tell("execute_trajectory", text)
+        self._report("execute_trajectory", text)
         return ExecuteTrajectory.Result(error_code=error_code(error))
 
-    def _tell(self, action: str, text: str) -> None:
+    def _report(self, action: str, text: str) -> None:
         self._log.warning(f"{action}: {text}")
 
     def _event(self, message: String) -> None:

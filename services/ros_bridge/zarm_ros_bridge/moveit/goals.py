@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from zarm_contract.messages import Goal, JointGoal, Pose, PoseGoal, PoseTolerance, TipFrame
 from zarm_contract.robot import RobotDescription
-from zarm_geometry.frames import pose_of
+from zarm_geometry.frames import pose_of, rotated_by
 from zarm_ros_bridge.moveit.constraint_set import FREE, ConstraintSet, Orientation, PointRegion
 from zarm_ros_bridge.moveit.error_codes import Refusal
 
@@ -22,6 +22,12 @@ Bounds = tuple[float | Literal["free"], float | Literal["free"], float | Literal
 EXACT_DISTANCE, EXACT_ANGLE = 0.002, 0.01
 """Tolerances (m, rad) up to which a goal is planned for exactly: they stand for "here", and an exact pose is found sooner."""
 _FARTHEST = 100.0  # m, the largest bound of a distance
+_COMPONENT, _PRODUCT = 0.7, 0.6
+_MOST = 64  # poses of one goal
+_TILTED = math.radians(60.0)
+"""How far (rad) a free turn about y goes to each side."""
+_TILTS = tuple(_TILTED * i / 3 for i in (0, 1, -1, 2, -2, 3, -3))
+_ROUND = tuple(math.pi * i / 4 for i in (0, 1, -1, 2, -2, 3, -3, 4))
 
 
 def goals_of(sets: Sequence[ConstraintSet], start: Sequence[float], robot: RobotDescription, tip: Array) -> list[Goal]:
@@ -38,10 +44,9 @@ def goals_of(sets: Sequence[ConstraintSet], start: Sequence[float], robot: Robot
             isinstance(goal, PoseGoal)
             and isinstance(before, PoseGoal)
             and (goal.tolerance, goal.tip) == (before.tolerance, before.tip)
-            and len(before.poses) < 64
+            and len(before.poses) + len(goal.poses) <= _MOST
         ):
-            other = Pose(position=goal.position, orientation=goal.orientation)
-            goals[-1] = before.model_copy(update={"alternatives": (*before.alternatives, other)})
+            goals[-1] = before.model_copy(update={"alternatives": (*before.alternatives, *goal.poses)})
         else:
             goals.append(goal)
     return goals
@@ -65,21 +70,25 @@ def pose_goal(constraints: ConstraintSet, robot: RobotDescription, tip: Array, f
             field,
         )
     link = (region or orientation).link  # type: ignore[union-attr] # one of them is there
-    turned = tip[:3, :3] if orientation is None else orientation.rotation
-    pose = np.eye(4)
-    pose[:3, :3] = turned
-    pose[:3, 3] = tip[:3, 3] if region is None else region.pose[:3, 3]
-    placed = pose_of(pose)
     free: Bounds = ("free", "free", "free")
-    position, radius, frame = (free, None, "tool") if region is None else _position(region, turned)
-    about = free if orientation is None else _angles(orientation)
+    turns, about = ([tip[:3, :3]], free) if orientation is None else _turns(orientation)
+    position, radius, frame = (free, None, "tool") if region is None else _position(region, turns[0])
+    if len(turns) > 1 and frame == "tool" and len({*position}) > 1:  # the goals of a set have no frame in common
+        position, radius = (0.0, 0.0, 0.0), min(region.half if region is not None and region.half else (0.0,)) or None
     tolerance = PoseTolerance(orientation=about, position=position, radius=radius, frame=frame)
     offset = (0.0, 0.0, 0.0) if region is None else region.offset
     plain = link == robot.descriptor.tip_link and not any(offset)
+    pose = np.eye(4)
+    pose[:3, 3] = tip[:3, 3] if region is None else region.pose[:3, 3]
+    placed = []
+    for turn in turns:
+        pose[:3, :3] = turn
+        placed.append(pose_of(pose))
     return PoseGoal(
         kind="pose",
-        position=placed.position,
-        orientation=placed.orientation,
+        position=placed[0].position,
+        orientation=placed[0].orientation,
+        alternatives=tuple(placed[1:]),
         tolerance=tolerance if any(about) or any(position) or radius else None,
         tip=None if plain else TipFrame(link=link, offset=Pose(position=offset)),
     )
@@ -140,19 +149,63 @@ def _position(region: PointRegion, turned: Array) -> tuple[Bounds, float | None,
     return exact, least if least > 0.0 else None, "tool"
 
 
-def _angles(orientation: Orientation) -> Bounds:
-    """Bounds of the rotation vector inside which the constraint holds.
+def _turns(orientation: Orientation) -> tuple[list[Array], Bounds]:
+    """Rotations (3, 3) of the link, and bounds of the rotation vector from each of them inside which the constraint holds.
 
-    For small angles it and Euler angles differ by products of two. Where one axis is free, a tilt may lie between the other
-    two, and each has its share of that.
+    Where one axis is free, a tilt may lie between
+    the other two, and each has its share of that. Euler angles of which two are free are no such region: rotations about the
+    two stand for it, and so do those about y where it alone is free, up to _TILTED, before its axes x and z become one.
     """
-    tolerance = orientation.tolerance
+    tolerance, asked = orientation.tolerance, orientation.rotation
     free = [most >= FREE for most in tolerance]
-    largest = max((most for most, is_free in zip(tolerance, free, strict=True) if not is_free), default=0.0)
-    if all(free) or (largest <= EXACT_ANGLE and not any(free)):
-        return ("free", "free", "free") if all(free) else (0.0, 0.0, 0.0)
-    share = (math.sqrt(0.5) if any(free) else 1.0) * (max(1.0 - largest, 0.2) if orientation.euler else 1.0)
+    bounded = [most for most, is_free in zip(tolerance, free, strict=True) if not is_free]
+    if not bounded:
+        return [asked], ("free", "free", "free")
+    if max(bounded) <= EXACT_ANGLE and not any(free):
+        return [asked], (0.0, 0.0, 0.0)
+    if not orientation.euler:
+        return [asked], _bounds(tolerance, free)
+    shrunk = max(1.0 - max(bounded), 0.2)
+    if not any(free):
+        return [asked], _small_turns(tolerance)
+    share = math.sqrt(0.5) * shrunk * math.cos(_TILTED)
+    least = share * min(bounded)
+    match free:
+        case [False, True, False]:
+            return [asked], (least, _TILTED, least)
+        case [False, True, True]:
+            return [asked @ _about_y(b) for b in _TILTS], (least, least, "free")
+        case [True, False, True]:
+            return [asked @ _about_x(a) for a in _ROUND], (least, least, "free")
+        case [True, True, False]:
+            return [asked @ _about_x(a) @ _about_y(b) for b in _TILTS for a in _ROUND], (least, least, least)
+    return [asked], _bounds([math.sqrt(0.5) * shrunk * min(bounded)] * 3, free)
+
+
+def _small_turns(tolerance: Sequence[float]) -> Bounds:
+    """Bounds of a rotation vector inside which Euler angles keep to their tolerances.
+
+    Each angle is the component of the vector, and about half the product of the two others: the component has most of the
+    tolerance, and the larger of the others is bounded so that the rest suffices.
+    """
+    bounds = [_COMPONENT * most for most in tolerance]
+    for i, most in enumerate(tolerance):
+        less, more = sorted(((i + 1) % 3, (i + 2) % 3), key=bounds.__getitem__)
+        if bounds[less] > 0.0:
+            bounds[more] = min(bounds[more], (1.0 - _COMPONENT) * most / (_PRODUCT * bounds[less]))
+    return bounds[0], bounds[1], bounds[2]
+
+
+def _bounds(tolerance: Sequence[float], free: Sequence[bool]) -> Bounds:
     bounds: list[float | Literal["free"]] = [
-        "free" if is_free else share * most for most, is_free in zip(tolerance, free, strict=True)
+        "free" if is_free else most for most, is_free in zip(tolerance, free, strict=True)
     ]
     return bounds[0], bounds[1], bounds[2]
+
+
+def _about_x(angle: float) -> Array:
+    return np.asarray(rotated_by(np.array([[angle, 0.0, 0.0]]))[0])
+
+
+def _about_y(angle: float) -> Array:
+    return np.asarray(rotated_by(np.array([[0.0, angle, 0.0]]))[0])

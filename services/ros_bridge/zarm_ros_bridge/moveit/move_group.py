@@ -38,8 +38,7 @@ from zarm_ros_bridge.moveit.requests import MotionPlanRequests, ask, check_group
 from zarm_ros_bridge.moveit.scene import PlanningScenes
 from zarm_ros_bridge.moveit.srdf import semantic_description
 from zarm_ros_bridge.moveit.states import robot_trajectory, trajectory_start
-from zarm_ros_bridge.ros import Ros
-from zarm_ros_bridge.topics import LATCHED
+from zarm_ros_bridge.ros import LATCHED, Ros
 from zarm_ros_bridge.turns import Turns
 
 log = logging.getLogger(__name__)
