@@ -32,6 +32,7 @@ class Action:
 
     `move` carries a goal out and returns its result, or raises ZarmError; `failed` makes the result from the error and its text.
     `key` begins the names of its goals in the executor. Goals for which `moves` is false do not move the robot, and need no turn.
+    With `replaces` a goal always takes the place of the one that runs.
     """
 
     kind: type[Any]
@@ -41,6 +42,7 @@ class Action:
     failed: Callable[[ZarmError, str], Any]
     admit: Callable[[Any], bool] = lambda _: True
     moves: Callable[[Any], bool] = lambda _: True
+    replaces: bool = False
 
 
 class ActionServers:
@@ -104,7 +106,7 @@ class ActionServers:
         self._runs[id(run.handle)] = run
         try:
             if run.taken_up or action.moves(run.handle.request):
-                self._turns.take(run)
+                self._turns.take(run, preempt=action.replaces or None)
             result = action.move(run)
         except ZarmError as error:
             return action.failed(error, self._failed(run, error))

@@ -6,6 +6,7 @@ import threading
 import time
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -43,9 +44,14 @@ class Frames:
         self._engine = engine
         self.links = LinkFrames(engine.robot)
         self._published = Transforms()
+        self._heard: Callable[[Sequence[Any]], None] = lambda _: None
         self._history = _JointHistory(engine)
         ros.listen(TFMessage, "/tf", lambda message: self._put(message, fixed=False), TF)
         ros.listen(TFMessage, "/tf_static", lambda message: self._put(message, fixed=True), TF_STATIC)
+
+    def watch(self, heard: Callable[[Sequence[Any]], None]) -> None:
+        """Call `heard` with the transforms of each message on /tf. Call before `spin`."""
+        self._heard = heard
 
     def in_base(self, pose: Pose, header: Any, field: str) -> Pose:
         """The pose given in the frame of `header`, in the base frame. Raises UnknownFrame, with the `field` of the header."""
@@ -115,13 +121,15 @@ class Frames:
         scene = self._engine.client.scene.read()
         for item in scene.objects:
             if item.name == name:
-                return _placed(item)
+                return placed(item)
         for attached in scene.attached:
             if attached.object.name == name:
-                return self.links_at()[self._engine.robot.descriptor.tip_link] @ _placed(attached)
+                return self.links_at()[self._engine.robot.descriptor.tip_link] @ placed(attached)
         return None
 
     def _put(self, message: Any, *, fixed: bool) -> None:
+        if not fixed:
+            self._heard(message.transforms)
         for one in message.transforms:
             t, r = one.transform.translation, one.transform.rotation
             stamp = None if fixed else _seconds(one.header.stamp)
@@ -169,7 +177,8 @@ class _JointHistory:
             self._payloads.append(payload)
 
 
-def _placed(item: SceneObject | Attached) -> Array:
+def placed(item: SceneObject | Attached) -> Array:
+    """The pose (4, 4) of an object in the base frame, or of an attached one in that of the tip."""
     thing = item.object if isinstance(item, Attached) else item
     return matrix(thing.position) if isinstance(thing, Ball) else matrix(thing.position, thing.orientation)
 

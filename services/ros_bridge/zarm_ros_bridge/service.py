@@ -33,6 +33,8 @@ from zarm_ros_bridge.servo_commands import ServoCommands
 from zarm_ros_bridge.strategies import StrategyServices
 from zarm_ros_bridge.terms import Terms
 from zarm_ros_bridge.topics import Topics
+from zarm_ros_bridge.trajectory_action import TrajectoryAction
+from zarm_ros_bridge.transform_publisher import TransformPublisher
 from zarm_ros_bridge.turns import Turns
 from zarm_ros_bridge.world_file import WorldFile
 from zarm_runtime.service import Service, run_service, service_parser
@@ -87,9 +89,11 @@ def start(service: Service) -> Iterator[None]:
             ServoCommands(ros, first, engine),
             Availability(engine, parameters),
             Diagnostics(ros, engine),
+            TransformPublisher(ros, engine, frames),
             ExitStack() as serving,
         ):
             ExecutionActions(ros, engine, parameters, motions, generation, servers, turns)
+            TrajectoryAction(ros, engine, frames, servers)
             for node in moveit:
                 serving.enter_context(move_group(node, engine, frames, servers, turns, colours, service.options.group))
             for one in (ros, first, *moveit):

@@ -32,12 +32,12 @@ class Turns:
         """Whether a goal that comes now may have the turn."""
         return self._running is None or self._preempts()
 
-    def take(self, run: Run) -> None:
-        """Wait for the running goal to end if this one preempts it; the newest goal has the turn.
+    def take(self, run: Run, *, preempt: bool | None = None) -> None:
+        """Wait for the running goal to end if this one preempts it (default: as `preempts` says); the newest goal has the turn.
 
         Raises Busy if it does not preempt, or if the robot does not come to rest, and Cancelled if a later goal came.
         """
-        preempt = self._preempts()
+        preempt = self._preempts() if preempt is None else preempt
         with self._turn:
             other = self._running
             if other is not None and not preempt:

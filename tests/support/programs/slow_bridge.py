@@ -12,10 +12,10 @@ from zarm_ros_bridge.turns import Turns
 take = Turns.take
 
 
-def slowly(self: Turns, run: Run) -> None:
+def slowly(self: Turns, run: Run, *, preempt: bool | None = None) -> None:
     while run.handle.arrival == 0 and self.running is None:
         time.sleep(0.01)
-    take(self, run)
+    take(self, run, preempt=preempt)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,137 @@
+"""follow_joint_trajectory: the robot as a trajectory controller of ros2_control, for programs that plan elsewhere."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from control_msgs.action import FollowJointTrajectory
+from rclpy.action.server import ServerGoalHandle
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from zarm.connection import ANSWER_SECONDS
+from zarm_contract.errors import Cancelled, ExecutionFailed, InvalidRequest, ZarmError, from_problem
+from zarm_contract.messages import ExecuteRequest, GoalState
+from zarm_ros_bridge.action_servers import Action, ActionServers
+from zarm_ros_bridge.convert.joint_trajectories import trajectory_of
+from zarm_ros_bridge.convert.times import NANOSECONDS, ros_time
+from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.frames import Frames
+from zarm_ros_bridge.goals import Run
+from zarm_ros_bridge.ros import Ros
+
+NAME = "zarm_controller/follow_joint_trajectory"
+"""Relative to the namespace of the bridge."""
+_Result = FollowJointTrajectory.Result
+_LATEST = 60.0
+"""How long (s) after now a trajectory may begin."""
+_STEP = 0.02
+
+
+class TrajectoryAction:
+    """Serves the action. As for a controller of ros2_control, a new goal takes the place of the one that runs."""
+
+    def __init__(self, ros: Ros, engine: Engine, frames: Frames, servers: ActionServers) -> None:
+        self._engine = engine
+        self._frames = frames
+        self._log = ros.node.get_logger()
+        servers.serve(
+            ros,
+            Action(FollowJointTrajectory, NAME, "follow_joint_trajectory", self._move, self._failed, replaces=True),
+        )
+
+    def _move(self, run: Run) -> Any:
+        if run.taken_up:
+            self._follow(run, None)
+            return _Result(error_code=_Result.SUCCESSFUL)
+        goal = run.handle.request
+        if goal.multi_dof_trajectory.points:
+            raise InvalidRequest(
+                "the robot has no joints of several degrees of freedom; leave them out", field="multi_dof_trajectory"
+            )
+        if not goal.trajectory.points:  # hold: the goal before has come to rest
+            return _Result(error_code=_Result.SUCCESSFUL)
+        motion = trajectory_of(goal.trajectory, self._engine.joints, self._frames.joints, "trajectory")
+        self._wait_for(goal.trajectory.header.stamp, 0.0 if motion is None else motion.duration, run)
+        if motion is not None:
+            run.go_on()
+            self._engine.client.start(ExecuteRequest(trajectory=motion), goal_id=run.name, timeout=ANSWER_SECONDS)
+            self._follow(run, _Feedback(run.handle, self._engine, self._frames))
+        self._check_end(goal)
+        return _Result(error_code=_Result.SUCCESSFUL)
+
+    def _wait_for(self, stamp: Any, duration: float, run: Run) -> None:
+        """Wait for the time at which a trajectory begins; 0 means now. Raises InvalidRequest if it is over."""
+        begin = stamp.sec + stamp.nanosec / NANOSECONDS
+        now = time.time()
+        if not begin:
+            return
+        if begin + duration < now:
+            raise InvalidRequest(
+                "the trajectory ended before it came; send it earlier", field="trajectory.header.stamp"
+            )
+        if begin > now + _LATEST:
+            raise InvalidRequest(
+                f"the trajectory begins {begin - now:.0f} s from now; send it later", field="trajectory.header.stamp"
+            )
+        while time.time() < begin:
+            run.go_on()
+            time.sleep(min(_STEP, max(begin - time.time(), 0.0)))
+
+    def _follow(self, run: Run, feedback: _Feedback | None) -> None:
+        for state in run.follow(run.name):
+            if feedback is not None:
+                feedback.show(state)
+        if state.problem is not None:
+            raise self._engine.terms.of_error(from_problem(state.problem))
+        if state.status != "succeeded":
+            raise Cancelled("the motion was ended before the robot had reached the goal")
+
+    def _check_end(self, goal: Any) -> None:
+        """Raises ExecutionFailed if a joint rests further from the end than the goal's own tolerance."""
+        measured = dict(zip(self._engine.joints, self._frames.joints(), strict=True))
+        end = dict(zip(goal.trajectory.joint_names, goal.trajectory.points[-1].positions, strict=True))
+        for tolerance in goal.goal_tolerance:
+            if tolerance.position > 0.0 and tolerance.name in end and tolerance.name in measured:
+                off = abs(end[tolerance.name] - measured[tolerance.name])
+                if off > tolerance.position:
+                    raise ExecutionFailed(f"{tolerance.name} rests {off:.4f} rad from its goal", joint=tolerance.name)
+
+    def _failed(self, error: ZarmError, text: str) -> Any:
+        self._log.warning(f"follow_joint_trajectory: {text}")
+        return _Result(error_code=_code(error), error_string=text)
+
+
+class _Feedback:
+    """Reports where the robot is, for each state of its goal."""
+
+    def __init__(self, handle: ServerGoalHandle, engine: Engine, frames: Frames) -> None:
+        self._handle = handle
+        self._joints = list(engine.joints)
+        self._frames = frames
+
+    def show(self, state: GoalState) -> None:
+        """Report a state."""
+        desired, actual = list(state.joint_command), list(self._frames.joints())
+        error = [a - b for a, b in zip(desired, actual, strict=True)] if desired else []
+        feedback = FollowJointTrajectory.Feedback(
+            joint_names=self._joints,
+            desired=JointTrajectoryPoint(positions=desired),
+            actual=JointTrajectoryPoint(positions=actual),
+            error=JointTrajectoryPoint(positions=error),
+        )
+        feedback.header.stamp = ros_time(time.time())
+        self._handle.publish_feedback(feedback)
+
+
+def _code(error: ZarmError) -> int:
+    """The code of control_msgs for an error; those that have none of their own are invalid goals."""
+    field = error.problem.field or ""
+    if error.code == "tolerance_violated":
+        at_end = "rests" in error.problem.message
+        return int(_Result.GOAL_TOLERANCE_VIOLATED if at_end else _Result.PATH_TOLERANCE_VIOLATED)
+    if field.endswith("joint_names"):
+        return int(_Result.INVALID_JOINTS)
+    if field.endswith("header.stamp"):
+        return int(_Result.OLD_HEADER_TIMESTAMP)
+    return int(_Result.INVALID_GOAL)

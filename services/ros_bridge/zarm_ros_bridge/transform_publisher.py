@@ -1,0 +1,133 @@
+"""/tf and /tf_static of the robot and the scene, as robot_state_publisher gives them, where nobody else does."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable
+from types import TracebackType
+from typing import Any, Self
+
+from geometry_msgs.msg import TransformStamped
+from numpy.typing import NDArray
+from tf2_msgs.msg import TFMessage
+
+from zarm_contract.errors import ZarmError
+from zarm_contract.messages import Pose, Scene
+from zarm_geometry.frames import pose_of
+from zarm_ros_bridge.convert.poses import ros_pose
+from zarm_ros_bridge.convert.times import ros_time
+from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.frames import TF, TF_STATIC, Frames, placed
+from zarm_ros_bridge.ros import Ros
+
+PERIOD = 0.02
+"""How often (s) the moving frames are published while somebody listens: 50 Hz, as robot_state_publisher at most by default."""
+QUIET = 2.0
+"""How long (s) nobody else must have published the robot's frames."""
+_LOOK = 0.5
+MOST_OBJECTS = 200
+"""Most objects of the scene that have a frame."""
+_SENT = 500
+
+
+class TransformPublisher:
+    """Publishes in its own thread. Use it in `with`.
+
+    Frames of joints that do not move are published once, for all who come later, together with the first moving ones.
+    """
+
+    def __init__(self, ros: Ros, engine: Engine, frames: Frames) -> None:
+        self._node = ros.node
+        self._engine = engine
+        self._frames = frames
+        self._moving = ros.node.create_publisher(TFMessage, "/tf", TF)
+        self._fixed = ros.node.create_publisher(TFMessage, "/tf_static", TF_STATIC)
+        self._links = {joint.child for joint in engine.robot.urdf.joint_of_child.values() if joint.type != "fixed"}
+        self._sent: deque[tuple[int, int]] = deque(maxlen=_SENT)  # stamps of what was published here
+        self._others_at = time.monotonic()
+        self._scene: Scene | None = None
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="tf")
+        frames.watch(self._on_tf)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        self._engine.bus.watch(self._engine.keys.scene, self._on_scene)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _on_scene(self, _: str, scene: Scene) -> None:
+        self._scene = scene
+
+    def _on_tf(self, transforms: Iterable[Any]) -> None:
+        """Somebody has published: whoever moves the robot's frames with other stamps than ours is not we."""
+        for one in transforms:
+            if one.child_frame_id.removeprefix("/") in self._links:
+                stamp = one.header.stamp
+                if (stamp.sec, stamp.nanosec) not in self._sent:
+                    self._others_at = time.monotonic()
+                return
+
+    def _run(self) -> None:
+        introduced = False
+        while not self._ended.wait(PERIOD if self._wanted() else _LOOK):
+            if not self._wanted():
+                continue
+            try:
+                joints = self._frames.joints()
+            except ZarmError:  # nothing is measured
+                continue
+            stamp = ros_time(time.time())
+            self._sent.append((stamp.sec, stamp.nanosec))
+            edges = list(self._frames.links.edges(joints))
+            if not introduced:
+                introduced = True
+                self._fixed.publish(
+                    TFMessage(
+                        transforms=[
+                            _transform(joint.parent, joint.child, pose_of(pose), stamp)
+                            for joint, pose in edges
+                            if joint.type == "fixed"
+                        ]
+                    )
+                )
+            moving = [
+                _transform(joint.parent, joint.child, pose_of(pose), stamp)
+                for joint, pose in edges
+                if joint.type != "fixed"
+            ]
+            self._moving.publish(TFMessage(transforms=[*moving, *self._objects(stamp)]))
+
+    def _wanted(self) -> bool:
+        """Whether somebody beside this bridge listens, and nobody else publishes the robot."""
+        return (
+            time.monotonic() - self._others_at > QUIET
+            and max(self._node.count_subscribers("/tf"), self._node.count_subscribers("/tf_static")) > 1
+        )
+
+    def _objects(self, stamp: Any) -> list[Any]:
+        scene, robot = self._scene, self._engine.robot.descriptor
+        if scene is None:
+            return []
+        items: list[tuple[str, str, NDArray[Any]]] = [
+            (robot.base_link, item.name, placed(item)) for item in scene.objects[:MOST_OBJECTS]
+        ]
+        items += [(robot.tip_link, one.object.name, placed(one)) for one in scene.attached]
+        return [_transform(parent, name, pose_of(pose), stamp) for parent, name, pose in items]
+
+
+def _transform(parent: str, child: str, pose: Pose, stamp: Any) -> Any:
+    at = ros_pose(pose)
+    message = TransformStamped(child_frame_id=child)
+    message.header.frame_id, message.header.stamp = parent, stamp
+    translation = message.transform.translation
+    translation.x, translation.y, translation.z = at.position.x, at.position.y, at.position.z
+    message.transform.rotation = at.orientation
+    return message

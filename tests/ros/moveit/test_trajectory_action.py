@@ -1,0 +1,129 @@
+"""The robot as a controller of ros2_control: a program that plans elsewhere executes through zarm."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Duration
+from control_msgs.action import FollowJointTrajectory
+from control_msgs.msg import JointTolerance
+from rclpy.action import ActionClient
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from support.harness import PATIENCE, eventually
+from support.ros.goals import ABORTED, CANCELED, SUCCEEDED, Sent
+from support.ros.stack import KEYS, Stack
+from zarm.connection import Connection
+from zarm.robot import Robot
+from zarm_contract.robot import load_robot
+
+ROBOT = load_robot("doosan_m1013")
+JOINTS, HOME = ROBOT.descriptor.joints, ROBOT.descriptor.home
+THERE = [HOME[0] + 0.4, *HOME[1:]]
+R = FollowJointTrajectory.Result
+
+
+@pytest.fixture
+def robot(arm: Stack) -> Robot:
+    """The robot at home, in an empty scene."""
+    robot = Robot(Connection.of(arm.bus, KEYS))
+    robot.scene.clear()
+    robot.execute(robot.plan(HOME))
+    return robot
+
+
+@pytest.fixture
+def controller(arm: Stack, robot: Robot) -> Iterator[ActionClient]:
+    client = ActionClient(arm.ros.node, FollowJointTrajectory, "/zarm_controller/follow_joint_trajectory")
+    assert client.wait_for_server(PATIENCE)
+    yield client
+    client.destroy()
+
+
+def goal(*points: tuple[float, Sequence[float]], names: Sequence[str] = JOINTS, **fields: object) -> object:
+    made = [
+        JointTrajectoryPoint(
+            positions=list(map(float, at)),
+            time_from_start=Duration(sec=int(time), nanosec=round(time % 1 * 1e9)),
+        )
+        for time, at in points
+    ]
+    return FollowJointTrajectory.Goal(trajectory=JointTrajectory(joint_names=list(names), points=made), **fields)
+
+
+def test_a_trajectory_of_positions_is_executed(arm: Stack, controller: ActionClient, robot: Robot) -> None:
+    sent = Sent(arm.ros.node, controller, goal((1.0, np.add(HOME, THERE) / 2), (2.0, THERE)))
+    assert sent.accepted
+    status, result = sent.ended()
+    assert (status, result.error_code) == (SUCCEEDED, R.SUCCESSFUL), result.error_string
+    assert np.allclose(robot.joint_state().position, THERE, atol=1e-3)
+    assert sent.feedback
+    assert list(sent.feedback[-1].joint_names) == list(JOINTS)
+
+
+def test_joints_may_come_in_any_order(arm: Stack, controller: ActionClient, robot: Robot) -> None:
+    names = list(reversed(JOINTS))
+    sent = Sent(arm.ros.node, controller, goal((2.0, list(reversed(THERE))), names=names))
+    assert sent.accepted
+    assert sent.ended()[1].error_code == R.SUCCESSFUL
+    assert np.allclose(robot.joint_state().position, THERE, atol=1e-3)
+
+
+def test_a_new_goal_takes_the_place_of_the_one_that_runs(arm: Stack, controller: ActionClient, robot: Robot) -> None:
+    first = Sent(arm.ros.node, controller, goal((20.0, THERE)))
+    assert first.accepted
+    eventually(lambda: first.feedback, "it moves")
+    second = Sent(arm.ros.node, controller, goal((3.0, HOME)))
+    assert second.accepted
+    assert first.ended()[0] == ABORTED
+    assert second.ended()[1].error_code == R.SUCCESSFUL
+    assert np.allclose(robot.joint_state().position, HOME, atol=1e-3)
+
+
+def test_a_goal_is_cancelled(arm: Stack, controller: ActionClient, robot: Robot) -> None:
+    sent = Sent(arm.ros.node, controller, goal((20.0, THERE)))
+    assert sent.accepted
+    eventually(lambda: sent.feedback, "it moves")
+    sent.handle.cancel_goal_async()
+    assert sent.ended()[0] == CANCELED
+    eventually(lambda: robot.state().goal_id is None, "the robot rests")
+
+
+@pytest.mark.parametrize(
+    ("made", "code", "said"),
+    [
+        (goal((2.0, THERE[:5]), names=JOINTS[:5]), R.INVALID_JOINTS, "joint_6"),
+        (goal((2.0, THERE), names=[*JOINTS[:5], "other"]), R.INVALID_JOINTS, "joint_6"),
+        (goal((2.0, THERE), (1.0, HOME)), R.INVALID_GOAL, "time_from_start"),
+        (goal((2.0, [float("nan"), *HOME[1:]])), R.INVALID_GOAL, "finite"),
+        (goal((0.05, THERE)), R.INVALID_GOAL, "limit"),
+        (goal((2.0, [9.0, *HOME[1:]])), R.INVALID_GOAL, "joint_1"),
+    ],
+    ids=["too few", "unknown", "backwards", "nan", "too fast", "out of range"],
+)
+def test_what_the_robot_cannot_do_is_refused(
+    arm: Stack, controller: ActionClient, robot: Robot, made: object, code: int, said: str
+) -> None:
+    sent = Sent(arm.ros.node, controller, made)
+    assert sent.accepted
+    status, result = sent.ended()
+    assert (status, result.error_code) == (ABORTED, code), result.error_string
+    assert said in result.error_string
+    assert np.allclose(robot.joint_state().position, HOME, atol=1e-3)
+
+
+def test_a_trajectory_that_is_over_is_refused(arm: Stack, controller: ActionClient, robot: Robot) -> None:
+    made = goal((2.0, THERE))
+    made.trajectory.header.stamp.sec = 1
+    sent = Sent(arm.ros.node, controller, made)
+    assert sent.accepted
+    assert sent.ended()[1].error_code == R.OLD_HEADER_TIMESTAMP
+
+
+def test_a_goal_tolerance_is_checked_at_the_end(arm: Stack, controller: ActionClient, robot: Robot) -> None:
+    tolerance = JointTolerance(name="joint_1", position=0.5)
+    sent = Sent(arm.ros.node, controller, goal((2.0, THERE), goal_tolerance=[tolerance]))
+    assert sent.accepted
+    assert sent.ended()[1].error_code == R.SUCCESSFUL
