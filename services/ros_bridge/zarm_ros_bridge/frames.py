@@ -58,15 +58,21 @@ class Frames:
         frame = self.pose_of(header.frame_id, _seconds(header.stamp), field)
         return pose if frame is None else pose_of(frame @ matrix(pose.position, pose.orientation))
 
-    def pose_of(self, frame_id: str, stamp: float = 0.0, field: str = "header") -> Array | None:
+    def found(self, header: Any, field: str) -> Array | None:
+        """The pose (4, 4) of the frame of `header`, None if it is the base frame, at once. Raises UnknownFrame."""
+        return self.pose_of(header.frame_id, _seconds(header.stamp), field, patience=0.0)
+
+    def pose_of(
+        self, frame_id: str, stamp: float = 0.0, field: str = "header", *, patience: float = PATIENCE
+    ) -> Array | None:
         """The pose (4, 4) in the base frame that a frame has at `stamp` (s; 0: now), None if it is the base frame.
 
-        Waits up to PATIENCE s for it. Raises UnknownFrame.
+        Waits up to `patience` s for it. Raises UnknownFrame.
         """
         name = known_as(frame_id.removeprefix("/"), self.links.links)
         if name in ("", self.links.base):
             return None
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + patience
         while True:
             try:
                 return self._looked_up(name, stamp)

@@ -86,7 +86,7 @@ def start(service: Service) -> Iterator[None]:
             topics,
             StrategyServices(ros, first, engine, parameters, generation),
             ActionServers(engine, turns) as servers,
-            ServoCommands(ros, first, engine),
+            ServoCommands(ros, first, engine, frames) as servo_commands,
             Availability(engine, parameters),
             Diagnostics(ros, engine),
             TransformPublisher(ros, engine, frames),
@@ -95,7 +95,9 @@ def start(service: Service) -> Iterator[None]:
             ExecutionActions(ros, engine, parameters, motions, generation, servers, turns)
             TrajectoryAction(ros, engine, frames, servers)
             for node in moveit:
-                serving.enter_context(move_group(node, engine, frames, servers, turns, colours, service.options.group))
+                serving.enter_context(
+                    move_group(node, engine, frames, servers, turns, colours, servo_commands, service.options.group)
+                )
             for one in (ros, first, *moveit):
                 one.spin()
             servers.take_up_goals()

@@ -21,10 +21,12 @@ from std_msgs.msg import Int8, String
 from zarm.servoing import Jogging, Tracking, limited
 from zarm_contract.errors import Cancelled, ZarmError
 from zarm_contract.messages import ServoSession
+from zarm_contract.robot import RobotDescriptor
 from zarm_ros_bridge.convert.servo_commands import (
     INVALID,
     NO_WARNING,
     STATUS,
+    LookUp,
     Send,
     joint_speed_of,
     target_of,
@@ -32,6 +34,7 @@ from zarm_ros_bridge.convert.servo_commands import (
 )
 from zarm_ros_bridge.convert.times import NANOSECONDS
 from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.frames import Frames
 from zarm_ros_bridge.ros import Ros
 
 log = logging.getLogger(__name__)
@@ -48,6 +51,7 @@ _REPORT_PERIOD = 0.1
 _FORGOTTEN = 10.0
 _DRIFT = 1e-3  # two clocks drift by less than this (s per s)
 
+Read = Callable[[Any, RobotDescriptor, LookUp], Send]
 Opens = Callable[..., AbstractContextManager[Tracking] | AbstractContextManager[Jogging]]
 
 
@@ -85,11 +89,14 @@ class ServoCommands:
     The first command on a topic opens a session, which belongs to that topic until it pauses.
     """
 
-    def __init__(self, ros: Ros, other: Ros, engine: Engine) -> None:
+    def __init__(self, ros: Ros, other: Ros, engine: Engine, frames: Frames) -> None:
         self._engine = engine
+        self._look_up = frames.found
         self._log = ros.node.get_logger()
         self._came = threading.Condition()
         self._newest: dict[str, _Command] = {}
+        self.report: Callable[[int, str], None] = lambda _code, _text: None
+        """Called with each status and its text."""
         self._ended = False
         self._reported: tuple[int, str] | None = None
         self._reported_at = 0.0
@@ -104,7 +111,7 @@ class ServoCommands:
             (ros, "pose_target_cmds", PoseStamped, target_of, client.track),
         ):
             self._opens[topic] = opens
-            on_command = partial(self._on_command, topic, read, Punctuality())
+            on_command = partial(self.take, topic, read, Punctuality())
             listener.listen(kind, ros.node.resolve_topic_name(f"~/{topic}"), on_command, COMMANDS)
         self._thread = threading.Thread(target=self._run, name="servo commands")
 
@@ -122,13 +129,14 @@ class ServoCommands:
 
     # -- in the thread that listens --
 
-    def _on_command(self, topic: str, read: Callable[[Any, Any], Send], punctuality: Punctuality, message: Any) -> None:
+    def take(self, topic: str, read: Read, punctuality: Punctuality, message: Any) -> None:
+        """A command as if it came on this topic; returns quickly."""
         now, stamp = time.monotonic(), message.header.stamp
         if punctuality.late(stamp.sec + stamp.nanosec / NANOSECONDS, now):
             self._refuse(f"a message on {topic} came more than {STALE:g} s late; find out what delays it")
             return
         try:
-            command = _Command(topic, now, read(message, self._engine.robot.descriptor))
+            command = _Command(topic, now, read(message, self._engine.robot.descriptor, self._look_up))
         except ZarmError as error:
             self._refuse(f"{topic}: {error}")
             return
@@ -209,3 +217,4 @@ class ServoCommands:
         self._reported, self._reported_at = (code, text), now
         self._status.publish(Int8(data=code))
         self._text.publish(String(data=text))
+        self.report(code, text)

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped, TwistStamped
+from numpy.typing import NDArray
 
 from zarm.servoing import Jogging, Tracking
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Vector3
 from zarm_contract.messages.servo import Limiting
 from zarm_contract.robot import RobotDescriptor
+from zarm_geometry.frames import matrix
+from zarm_geometry.frames import pose_of as placed_at
 from zarm_ros_bridge.convert.fields import finite
 from zarm_ros_bridge.convert.joints import known_as
 from zarm_ros_bridge.convert.poses import pose_of
 
 Send = Callable[[Any], None]
 """Sends a target to a session, Tracking or Jogging."""
+LookUp = Callable[[Any, str], NDArray[np.float64] | None]
+"""`look_up(header, field)`: the pose (4, 4) of the header's frame in the base frame, None if it is that; raises InvalidRequest."""
 
 INVALID, NO_WARNING = -1, 0
 STATUS: Mapping[Limiting, int] = {
@@ -31,24 +37,40 @@ STATUS: Mapping[Limiting, int] = {
 """Codes of moveit_msgs/msg/ServoStatus (ROS 2 Jazzy), by what limits a session."""
 
 
-def twist_of(message: TwistStamped, robot: RobotDescriptor) -> Send:
-    """Velocities of the tip (m/s, rad/s) along the axes of the base or of the tool, as `frame_id` says.
+def twist_of(message: TwistStamped, robot: RobotDescriptor, look_up: LookUp) -> Send:
+    """Velocities of the tip (m/s, rad/s) along the axes of the frame that `frame_id` names.
 
-    Raises InvalidRequest for another frame, and for values that are not finite.
+    Raises InvalidRequest for an unknown frame, and for values that are not finite.
     """
-    frame = _frame(message.header.frame_id, {robot.base_link: "base", robot.tip_link: "tool"})
     linear, angular = (_vector(getattr(message.twist, name), f"twist.{name}") for name in ("linear", "angular"))
+    frame: Literal["base", "tool"] = "base"
+    if known_as(message.header.frame_id.removeprefix("/"), (robot.tip_link,)) == robot.tip_link:
+        frame = "tool"
+    elif (pose := look_up(message.header, "header")) is not None:
+        linear, angular = _turned(pose, linear), _turned(pose, angular)
 
     def send(session: Jogging) -> None:
-        session.twist(linear, angular, frame="tool" if frame == "tool" else "base")
+        session.twist(linear, angular, frame=frame)
 
     return send
 
 
-def target_of(message: PoseStamped, robot: RobotDescriptor) -> Send:
-    """A pose of the tip in the base frame. Raises InvalidRequest for another frame, and for an invalid pose."""
-    _frame(message.header.frame_id, {robot.base_link: "base"})
+def target_of(message: PoseStamped, robot: RobotDescriptor, look_up: LookUp) -> Send:
+    """A pose of the tip in the frame of its header.
+
+    Raises InvalidRequest for an unknown frame, for one that moves with the robot, from which the target would run away, and for an
+    invalid pose.
+    """
+    links = {robot.base_link, robot.tip_link, *robot.collision}
+    link = known_as(message.header.frame_id.removeprefix("/"), links)
+    if link in links and link != robot.base_link:
+        raise InvalidRequest(
+            f"the frame {link} moves with the robot, and the target would run away; use {robot.base_link}",
+            field="header.frame_id",
+        )
     pose = pose_of(message.pose, "pose")
+    if (frame := look_up(message.header, "header")) is not None:
+        pose = placed_at(frame @ matrix(pose.position, pose.orientation))
 
     def send(session: Tracking) -> None:
         session.to(pose)
@@ -56,7 +78,7 @@ def target_of(message: PoseStamped, robot: RobotDescriptor) -> Send:
     return send
 
 
-def joint_speed_of(message: Any, robot: RobotDescriptor) -> Send:
+def joint_speed_of(message: Any, robot: RobotDescriptor, _: LookUp) -> Send:
     """Joint speeds (rad/s), by name, of a sensor_msgs/JointState or a control_msgs/JointJog; unnamed joints stand
     still.
 
@@ -91,15 +113,10 @@ def _by_joint(names: Sequence[str], speeds: Sequence[float], joints: Sequence[st
     return tuple(reported.get(joint, 0.0) for joint in joints)
 
 
-def _frame(frame_id: str, frames: Mapping[str, str]) -> str:
-    """Which of the frames is meant; an empty one means the first, the base."""
-    base = next(iter(frames))
-    link = known_as(frame_id.removeprefix("/") or base, frames)
-    if link not in frames:
-        raise InvalidRequest(
-            f"the frame {frame_id!r} is not supported for commands; use {' or '.join(frames)}", field="header.frame_id"
-        )
-    return frames[link]
+def _turned(frame: NDArray[np.float64], vector: Vector3) -> Vector3:
+    """A vector of a frame (4, 4) in the base frame."""
+    x, y, z = (frame[:3, :3] @ np.array(vector)).tolist()
+    return x, y, z
 
 
 def _vector(message: Any, field: str) -> Vector3:

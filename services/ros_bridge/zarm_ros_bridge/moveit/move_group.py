@@ -36,9 +36,11 @@ from zarm_ros_bridge.moveit.kinematics import Kinematics
 from zarm_ros_bridge.moveit.planners import Planners
 from zarm_ros_bridge.moveit.requests import MotionPlanRequests, ask, check_group
 from zarm_ros_bridge.moveit.scene import PlanningScenes
+from zarm_ros_bridge.moveit.servo_node import ServoNode
 from zarm_ros_bridge.moveit.srdf import semantic_description
 from zarm_ros_bridge.moveit.states import robot_trajectory, trajectory_start
 from zarm_ros_bridge.ros import LATCHED, Ros
+from zarm_ros_bridge.servo_commands import ServoCommands
 from zarm_ros_bridge.turns import Turns
 
 log = logging.getLogger(__name__)
@@ -59,6 +61,7 @@ def move_group(
     servers: ActionServers,
     turns: Turns,
     colours: MutableMapping[str, Colour],
+    commands: ServoCommands,
     group: str,
 ) -> Iterator[None]:
     """Serve on the node of `ros`; call before `spin`. `group` is the name of the only group, the arm."""
@@ -66,6 +69,7 @@ def move_group(
     requests = MotionPlanRequests(engine, frames, group)
     PlannedPaths(ros, engine)
     Planners(ros, engine)
+    ServoNode(ros, commands)
     with PlanningScenes(ros, engine, frames, colours) as scenes:
         actions = Actions(ros, engine, frames, requests, scenes, servers, turns)
         Services(ros, engine, frames, requests, actions.plans)
