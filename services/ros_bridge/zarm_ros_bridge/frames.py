@@ -49,6 +49,10 @@ class Frames:
         ros.listen(TFMessage, "/tf", lambda message: self._put(message, fixed=False), TF)
         ros.listen(TFMessage, "/tf_static", lambda message: self._put(message, fixed=True), TF_STATIC)
 
+    def remember(self) -> None:
+        """Remember from now on where the robot was, for times in the past; else the first look-up begins it."""
+        self._history.begin()
+
     def watch(self, heard: Callable[[Sequence[Any]], None]) -> None:
         """Call `heard` with the transforms of each message on /tf. Call before `spin`."""
         self._heard = heard
@@ -155,14 +159,24 @@ class _JointHistory:
         self._joints = engine.joints
         self._turn = threading.Lock()
         self._payloads: deque[bytes] = deque(maxlen=_STATES)
-        engine.bus.listen(engine.keys.joint_states, self._receive)
+        self._came = threading.Event()
+        self._begun = False
+        self._engine = engine
+
+    def begin(self) -> None:
+        """Keep joint states from now on: they wake this process up a hundred times a second."""
+        with self._turn:
+            begun, self._begun = self._begun, True
+        if not begun:
+            self._engine.bus.listen(self._engine.keys.joint_states, self._receive)
 
     def at(self, stamp: float) -> tuple[float, ...]:
         """The position of the joints at `stamp` (s; 0: now). Raises UnknownFrame, and Unavailable without any."""
+        self.begin()
+        if not self._came.wait(PATIENCE):
+            raise Unavailable("no joint state has come yet; start the executor and the driver")
         with self._turn:
             payloads = list(self._payloads)
-        if not payloads:
-            raise Unavailable("no joint state has come yet; start the executor and the driver")
         last = decode(JointState, payloads[-1])
         if not stamp or stamp >= last.stamp:
             return last.position
@@ -181,6 +195,7 @@ class _JointHistory:
     def _receive(self, _: str, payload: bytes) -> None:
         with self._turn:
             self._payloads.append(payload)
+        self._came.set()
 
 
 def placed(item: SceneObject | Attached) -> Array:

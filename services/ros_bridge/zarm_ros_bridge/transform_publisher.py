@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -22,8 +22,9 @@ from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import TF, TF_STATIC, Frames, placed
 from zarm_ros_bridge.ros import Ros
 
-PERIOD = 0.02
-"""How often (s) the moving frames are published while somebody listens: 50 Hz, as robot_state_publisher at most by default."""
+PERIOD, AT_REST = 0.02, 0.1
+"""How often (s) the moving frames are published while somebody listens, of a robot that moves and of one at rest."""
+_MOVED = 1e-5
 QUIET = 2.0
 """How long (s) nobody else must have published the robot's frames."""
 _LOOK = 0.5
@@ -48,6 +49,8 @@ class TransformPublisher:
         self._sent: deque[tuple[int, int]] = deque(maxlen=_SENT)  # stamps of what was published here
         self._others_at = time.monotonic()
         self._scene: Scene | None = None
+        self._wanted = self._listened = False
+        self._looked_at = 0.0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="tf")
         frames.watch(self._on_tf)
@@ -76,14 +79,19 @@ class TransformPublisher:
                 return
 
     def _run(self) -> None:
-        introduced = False
-        while not self._ended.wait(PERIOD if self._wanted() else _LOOK):
-            if not self._wanted():
+        introduced, before, published_at = False, self._engine.robot.descriptor.home, 0.0
+        while not self._ended.wait(PERIOD if self._wanted else _LOOK):
+            self._look()
+            if not self._wanted:
                 continue
             try:
                 joints = self._frames.joints()
             except ZarmError:  # nothing is measured
                 continue
+            now = time.monotonic()
+            if now - published_at < AT_REST and not _moved(before, joints):
+                continue
+            before, published_at = joints, now
             stamp = ros_time(time.time())
             self._sent.append((stamp.sec, stamp.nanosec))
             edges = list(self._frames.links.edges(joints))
@@ -105,12 +113,14 @@ class TransformPublisher:
             ]
             self._moving.publish(TFMessage(transforms=[*moving, *self._objects(stamp)]))
 
-    def _wanted(self) -> bool:
-        """Whether somebody beside this bridge listens, and nobody else publishes the robot."""
-        return (
-            time.monotonic() - self._others_at > QUIET
-            and max(self._node.count_subscribers("/tf"), self._node.count_subscribers("/tf_static")) > 1
-        )
+    def _look(self) -> None:
+        """See, now and then, whether somebody beside this bridge listens, and nobody else publishes the robot."""
+        now = time.monotonic()
+        if now - self._looked_at > _LOOK:
+            self._looked_at = now
+            listeners = max(self._node.count_subscribers("/tf"), self._node.count_subscribers("/tf_static"))
+            self._listened = listeners > 1
+        self._wanted = self._listened and now - self._others_at > QUIET
 
     def _objects(self, stamp: Any) -> list[Any]:
         scene, robot = self._scene, self._engine.robot.descriptor
@@ -121,6 +131,10 @@ class TransformPublisher:
         ]
         items += [(robot.tip_link, one.object.name, placed(one)) for one in scene.attached]
         return [_transform(parent, name, pose_of(pose), stamp) for parent, name, pose in items]
+
+
+def _moved(before: Sequence[float], now: Sequence[float]) -> bool:
+    return max(abs(a - b) for a, b in zip(now, before, strict=True)) > _MOVED
 
 
 def _transform(parent: str, child: str, pose: Pose, stamp: Any) -> Any:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from array import array
+from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import JointState as RosJointState
@@ -15,34 +17,35 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 def ros_joint_trajectory(motion: DriverCommand | Trajectory) -> JointTrajectory:
     """A motion that begins on arrival (stamp 0). A command without points means stop."""
-    points = []
-    for index, at in enumerate(motion.time):
-        point = JointTrajectoryPoint(
-            positions=list(motion.position[index]),
-            velocities=list(motion.velocity[index]) if motion.velocity else [],
-            accelerations=list(motion.acceleration[index]) if motion.acceleration else [],
-            time_from_start=ros_duration(at),
-        )
-        points.append(point)
+    points = _copies(JointTrajectoryPoint(), len(motion.time))
+    for point, at, position in zip(points, motion.time, motion.position, strict=True):
+        point.positions = array("d", position)
+        point.time_from_start = ros_duration(at)
+    for name, rows in (("velocities", motion.velocity), ("accelerations", motion.acceleration)):
+        for point, row in zip(points, rows, strict=bool(rows)):
+            setattr(point, name, array("d", row))
     return JointTrajectory(joint_names=list(motion.joint_names), points=points)
 
 
 def ros_joint_states(trajectory: Trajectory, dt: float) -> list[RosJointState]:
-    """Positions and velocities every `dt` s from the start of a motion to its end at rest.
-
-    Each is a shallow copy of the first, sharing what never changes: the constructor, which makes every field anew,
-    takes as long as all the rest.
-    """
-    common = RosJointState(name=list(trajectory.joint_names))
-    fields = [(slot, getattr(common, slot)) for slot in RosJointState.__slots__]
+    """Positions and velocities every `dt` s from the start of a motion to its end at rest."""
     motion = TimedTrajectory.of(trajectory, trajectory.joint_names)
     count = math.ceil(motion.duration / dt - 1e-9) + 1
     positions, velocities, _ = motion.sample(np.minimum(np.arange(count) * dt, motion.duration)).tolist()
-    messages = []
-    for position, velocity in zip(positions, velocities, strict=True):
-        message = RosJointState.__new__(RosJointState)
-        for slot, value in fields:
-            setattr(message, slot, value)
+    messages = _copies(RosJointState(name=list(trajectory.joint_names)), count)
+    for message, position, velocity in zip(messages, positions, velocities, strict=True):
         message.position, message.velocity = position, velocity
-        messages.append(message)
     return messages
+
+
+def _copies(message: Any, count: int) -> list[Any]:
+    """Shallow copies, which share what is not set anew: the constructor, which makes every field, takes as long as all the rest."""
+    kind: Any = type(message)
+    fields = [(slot, getattr(message, slot)) for slot in kind.__slots__]
+    copies = []
+    for _ in range(count):
+        copy = kind.__new__(kind)
+        for slot, value in fields:
+            setattr(copy, slot, value)
+        copies.append(copy)
+    return copies

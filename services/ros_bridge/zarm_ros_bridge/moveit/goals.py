@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Literal
 
 import numpy as np
@@ -30,10 +30,12 @@ _TILTS = tuple(_TILTED * i / 3 for i in (0, 1, -1, 2, -2, 3, -3))
 _ROUND = tuple(math.pi * i / 4 for i in (0, 1, -1, 2, -2, 3, -3, 4))
 
 
-def goals_of(sets: Sequence[ConstraintSet], start: Sequence[float], robot: RobotDescription, tip: Array) -> list[Goal]:
+def goals_of(
+    sets: Sequence[ConstraintSet], start: Sequence[float], robot: RobotDescription, tip: Callable[[], Array]
+) -> list[Goal]:
     """The goals that are alternatives, in order; poses that differ in nothing else are one goal.
 
-    `start` are the joints (rad) where the motion begins, and keep what is not constrained; `tip` is the pose (4, 4) of the tip
+    `start` are the joints (rad) where the motion begins, and keep what is not constrained; `tip()` is the pose (4, 4) of the tip
     there. Raises Refusal.
     """
     goals: list[Goal] = []
@@ -94,11 +96,13 @@ def pose_goal(constraints: ConstraintSet, robot: RobotDescription, tip: Array, f
     )
 
 
-def _goal(constraints: ConstraintSet, start: Sequence[float], robot: RobotDescription, tip: Array, field: str) -> Goal:
+def _goal(
+    constraints: ConstraintSet, start: Sequence[float], robot: RobotDescription, tip: Callable[[], Array], field: str
+) -> Goal:
     if not constraints:
         raise Refusal(Val.INVALID_GOAL_CONSTRAINTS, "there is no goal; constrain joints, or the pose of a link", field)
     if not constraints.joints:
-        return pose_goal(constraints, robot, tip, field)
+        return pose_goal(constraints, robot, tip(), field)
     if constraints.positions or constraints.orientations:
         raise Refusal(
             Val.INVALID_GOAL_CONSTRAINTS,

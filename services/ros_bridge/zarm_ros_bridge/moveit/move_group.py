@@ -66,6 +66,7 @@ def move_group(
 ) -> Iterator[None]:
     """Serve on the node of `ros`; call before `spin`. `group` is the name of the only group, the arm."""
     _describe(ros, engine, group)
+    frames.remember()
     requests = MotionPlanRequests(engine, frames, group)
     PlannedPaths(ros, engine)
     Planners(ros, engine)

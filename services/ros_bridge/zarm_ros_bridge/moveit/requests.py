@@ -171,7 +171,8 @@ class MotionPlanRequests:
             for i, one in enumerate(request.goal_constraints)
         ]
         robot = self._engine.robot
-        return goals_of(sets, begin, robot, self._frames.links.poses(begin)[robot.descriptor.tip_link])
+        tip = lambda: self._frames.links.poses(begin)[robot.descriptor.tip_link]  # noqa: E731  goals of joints need none
+        return goals_of(sets, begin, robot, tip)
 
     def _speeds(self, request: Any, scales: Scales) -> Speeds:
         most = finite(request.max_cartesian_speed, "max_cartesian_speed")
