@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float32
+from std_msgs.msg import Float32, String
 from trajectory_msgs.msg import JointTrajectory
 
 from support.executor.client import Client
@@ -59,8 +59,58 @@ def apart() -> Iterator[tuple[str, Bus]]:
         yield address, session
 
 
+FAULTS = f"{UR5E.descriptor.strategy_params.command_topic}/fault"
+
+
+@contextmanager
+def ur5e(endpoint: str, bus: Bus, folder: Path) -> Iterator[Client]:
+    """A UR5e under ros2_control that is moved by whole trajectories."""
+    keys = Keys("ur5e")
+    with ExitStack() as stack:
+        stack.enter_context(controller(UR5E))
+        bridge = stack.enter_context(ServiceProcess("ros_bridge", endpoint, folder, robot="ur5e"))
+        bridge.wait_ready(bus, keys)
+        robot = str(patient(folder / "patient", UR5E))
+        executor = ServiceProcess(
+            "executor", endpoint, folder, robot=robot, arguments=("--strategy", "joint_trajectory")
+        )
+        stack.enter_context(executor).wait_ready(bus, keys)
+        yield Client(bus, keys)
+
+
+def faulty(ros: RosClient, fault: str) -> None:
+    """Give the controller this fault."""
+    publisher = ros.node.create_publisher(String, FAULTS, 10)
+    eventually(publisher.get_subscription_count, "the controller listens")
+    publisher.publish(String(data=fault))
+
+
+def test_what_a_controller_refuses_or_gives_up_ends_the_goal_with_its_reason(
+    apart: tuple[str, Bus], tmp_path: Path, ros: RosClient
+) -> None:
+    home = np.array(UR5E.descriptor.home)
+    there = home + (0.6, -0.3, 0.2, 0.0, 0.0, 0.4)
+    with ur5e(*apart, tmp_path) as client:
+        goal = client.execute(rest_to_rest(there, home, robot=UR5E, slower=2.0))
+        client.under_way(goal)
+        faulty(ros, "violate")
+        ended = client.ended(goal)
+        assert ended.status == "aborted"
+        assert "PATH_TOLERANCE_VIOLATED: the elbow is held" in ended.problem.message
+        client.bus.call(client.keys.reset, m.Nothing(), timeout=10)
+        faulty(ros, "inactive")
+        back = client.execute(rest_to_rest(home, np.array(client.position()), robot=UR5E))
+        ended = client.ended(back)
+        assert ended.status == "aborted"
+        assert "refused the trajectory" in ended.problem.message
+        client.bus.call(client.keys.reset, m.Nothing(), timeout=10)
+        faulty(ros, "")
+        last = client.execute(rest_to_rest(home, np.array(client.position()), robot=UR5E))
+        assert client.ended(last).status == "succeeded"
+
+
 @pytest.mark.slow  # as the M1013 is, in test_driven_path.py
-def test_a_ur5e_is_moved_through_its_controller_topic(apart: tuple[str, Bus], tmp_path: Path) -> None:
+def test_a_ur5e_is_moved_through_the_action_of_its_controller(apart: tuple[str, Bus], tmp_path: Path) -> None:
     endpoint, bus = apart
     keys, there = Keys("ur5e"), np.array(UR5E.descriptor.home) + (0.6, -0.3, 0.2, 0.0, 0.0, 0.4)
     with ExitStack() as stack:

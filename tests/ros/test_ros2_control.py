@@ -1,4 +1,4 @@
-"""An arm under ros2_control is moved from its URDF alone: the trajectory controller that the URDF names is the driver."""
+"""An arm under ros2_control is moved from its URDF alone: the action of the trajectory controller that it names is the driver."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import JointTrajectory
 
 from support.command_line import Up, data, done
 from support.harness import PATIENCE, eventually, free_endpoint
@@ -77,15 +76,11 @@ def test_zarm_up_with_a_urdf_moves_the_arm_through_the_controller_that_it_names(
     ros = RosClient(node)
     robot = ("--robot", str(described(tmp_path)), "--ros", "--strategy", "joint_trajectory")
     with controller(), Up(free_endpoint(), tmp_path, *robot, name="arm", XDG_CACHE_HOME=str(tmp_path / "cache")) as up:
-        commands, states = ros.heard(JointTrajectory, COMMANDS), ros.heard(JointState, STATES)
+        states = ros.heard(JointState, STATES)
         seen = eventually(lambda: (found := states[-1:]) and found[0], "the controller tells its joints")
         assert dict(zip(seen.name, seen.position, strict=True)) == pytest.approx(START)
         done(up, "plan", "--joints", ",".join(map(str, GOAL.values())))
         assert "succeeded" in json.dumps(data(up, "execute"))
-        assert sorted(commands[0].joint_names) == sorted(GOAL)
-        assert len(commands[0].points) > 2
-        last = dict(zip(commands[0].joint_names, commands[0].points[-1].positions, strict=True))
-        assert last == pytest.approx(GOAL, abs=1e-6)
 
         def arrived() -> bool:
             joints = dict(zip(states[-1].name, states[-1].position, strict=True))

@@ -171,6 +171,9 @@ class StrategyParams(_Section):
     """ROS topic on which the driver reports its progress, 0 to 1. Left out: the executor computes the progress from the joint states."""
     joint_states_topic: str = Field(min_length=1)
     """ROS topic of the joint states."""
+    action: Annotated[str, Field(min_length=1)] | None = None
+    """ROS action of a trajectory controller, `.../follow_joint_trajectory`. Whole trajectories go there, and what it refuses or gives up ends the
+    goal with its reason. Left out: they go to `command_topic`, where nothing is reported."""
     strategies: tuple[DriverStrategyName, ...] = Field(default=tuple(DRIVER_STRATEGIES), min_length=1)
     """What the driver can play: streamed velocities, streamed positions, whole trajectories."""
     joint_order: tuple[str, ...] | None = None

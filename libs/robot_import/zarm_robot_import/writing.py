@@ -137,6 +137,7 @@ def _driver(controller: str) -> list[str]:
         "# The trajectory controller that the URDF's <ros2_control> names. `strategy: joint_trajectory` moves the real arm.",
         "strategy_params:",
         f"  command_topic: /{controller.strip('/')}/joint_trajectory",
+        f"  action: /{controller.strip('/')}/follow_joint_trajectory",
         "  joint_states_topic: /joint_states",
         "  strategies: [joint_trajectory]",
     ]

@@ -15,9 +15,10 @@ from std_msgs.msg import Float32
 from trajectory_msgs.msg import JointTrajectory
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import DriverCommand
+from zarm_contract.messages import DriverCommand, DriverProgress, ExecutorState
 from zarm_contract.robot import StrategyParams
 from zarm_ros_bridge.answers import shortened
+from zarm_ros_bridge.controller_action import ControllerAction
 from zarm_ros_bridge.convert.driver_joints import DriverJointStates
 from zarm_ros_bridge.convert.trajectories import ros_joint_trajectory
 from zarm_ros_bridge.driver_progress import ProgressReader
@@ -38,13 +39,23 @@ class Drivers:
 
     While a robot stands, joint states are forwarded at the rate of `Standing`.
 
+    Whole trajectories go to the controller's action, if it has one: `controller` is the participant for that.
+
     Unreadable driver messages are dropped; each kind of fault is logged once. The executor then hears nothing, and
     stops the robot. A driver may start late, leave, and return. DDS discovers each direction separately: joint states
     may arrive before commands can be sent, so every change in who listens to commands is logged.
     """
 
-    def __init__(self, ros: Ros, engine: Engine, params: StrategyParams) -> None:
+    def __init__(self, ros: Ros, controller: Ros | None, engine: Engine, params: StrategyParams) -> None:
         keys = engine.keys
+        self._action = (
+            None
+            if controller is None or params.action is None
+            else ControllerAction(controller, params.action, self._give_up)
+        )
+        self._whole = False  # whether commands are whole trajectories, which the action takes
+        if self._action is not None:
+            engine.bus.watch(keys.executor_state, self._on_state)
         self._reports = DriverJointStates(params.joint_states_order or engine.joints, engine.joints)
         self._topic = params.joint_states_topic
         self._complaints: set[str] = set()
@@ -73,8 +84,20 @@ class Drivers:
         message = ros_joint_trajectory(command)
         with self._turn:
             self._progress.sent(command.sequence, len(command.time))
-            self._commands.publish(message)
+            if self._action is None or not self._whole:
+                self._commands.publish(message)
+            elif command.time:
+                self._action.play(command.sequence, message)
+            else:
+                self._action.stop(command.sequence)
         self._hurry()
+
+    def _on_state(self, _: str, state: ExecutorState) -> None:
+        self._whole = state.strategy == "joint_trajectory"
+
+    def _give_up(self, sequence: int, reason: str) -> None:
+        log.warning("the controller gave up sequence=%d reason=%s", sequence, reason.replace("\n", " "))
+        self._played.put(DriverProgress(sequence=sequence, fraction=0.0, problem=shortened(reason)))
 
     def _matched(self, listeners: Any) -> None:
         change = "come" if listeners.current_count_change > 0 else "gone"

@@ -44,7 +44,7 @@ class Frames:
         self._engine = engine
         self.links = LinkFrames(engine.robot)
         self._published = Transforms()
-        self._heard: Callable[[Sequence[Any]], None] = lambda _: None
+        self._on_moving: Callable[[Sequence[Any]], None] = lambda _: None
         self._history = _JointHistory(engine)
         ros.listen(TFMessage, "/tf", lambda message: self._put(message, fixed=False), TF)
         ros.listen(TFMessage, "/tf_static", lambda message: self._put(message, fixed=True), TF_STATIC)
@@ -53,9 +53,9 @@ class Frames:
         """Remember from now on where the robot was, for times in the past; else the first look-up begins it."""
         self._history.begin()
 
-    def watch(self, heard: Callable[[Sequence[Any]], None]) -> None:
-        """Call `heard` with the transforms of each message on /tf. Call before `spin`."""
-        self._heard = heard
+    def watch(self, on_moving: Callable[[Sequence[Any]], None]) -> None:
+        """Call `on_moving` with the transforms of each message on /tf. Call before `spin`."""
+        self._on_moving = on_moving
 
     def in_base(self, pose: Pose, header: Any, field: str) -> Pose:
         """The pose given in the frame of `header`, in the base frame. Raises UnknownFrame, with the `field` of the header."""
@@ -139,7 +139,7 @@ class Frames:
 
     def _put(self, message: Any, *, fixed: bool) -> None:
         if not fixed:
-            self._heard(message.transforms)
+            self._on_moving(message.transforms)
         for one in message.transforms:
             t, r = one.transform.translation, one.transform.rotation
             stamp = None if fixed else _seconds(one.header.stamp)

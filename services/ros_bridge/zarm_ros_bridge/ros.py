@@ -86,6 +86,10 @@ class Ros:
         """Messages to listeners must not wait any more."""
         self._reception.hurry()
 
+    def run(self, work: Callable[[], None]) -> None:
+        """Do some work in one of the threads that serve, soon."""
+        self._executor.create_task(work)
+
     def spin(self) -> None:
         """Serve from now on."""
         self._executor.add_node(self.node)

@@ -54,11 +54,12 @@ def start(service: Service) -> Iterator[None]:
     with (
         Ros(NODE, namespace, workers=WORKERS, parameters=True) as ros,
         Ros(f"_{NODE}_v1", namespace, workers=2) as first,
-        _move_group_node(service, namespace) as moveit,
+        _participants(service, namespace) as (moveit, controller),
         service.open_bus() as bus,  # closed before the nodes, which its messages need
         ExitStack() as listening,  # likewise, before the bus that the driver's messages need
     ):
-        for one in (ros, first, *moveit):
+        participants = [one for one in (ros, first, moveit, controller) if one is not None]
+        for one in participants:
             listening.callback(one.stop_listening)
         params = service.robot.descriptor.strategy_params
         engine = Engine(
@@ -74,7 +75,7 @@ def start(service: Service) -> Iterator[None]:
         Faults(ros, engine)
         SceneServices(ros, engine, parameters, colours, generation)
         if params is not None:
-            Drivers(ros, engine, params)
+            Drivers(ros, controller, engine, params)
         WorldFile(engine, parameters)
         additions = isinstance(generation, GenerationC)
         topics = Topics(ros, engine, colours, obstacles=("~/obstacles", "~/scene_obstacles")[: 1 + additions])
@@ -94,11 +95,11 @@ def start(service: Service) -> Iterator[None]:
         ):
             ExecutionActions(ros, engine, parameters, motions, generation, servers, turns)
             TrajectoryAction(ros, engine, frames, servers)
-            for node in moveit:
+            if moveit is not None:
                 serving.enter_context(
-                    move_group(node, engine, frames, servers, turns, colours, servo_commands, service.options.group)
+                    move_group(moveit, engine, frames, servers, turns, colours, servo_commands, service.options.group)
                 )
-            for one in (ros, first, *moveit):
+            for one in participants:
                 one.spin()
             servers.take_up_goals()
             service.ready()
@@ -106,13 +107,16 @@ def start(service: Service) -> Iterator[None]:
 
 
 @contextmanager
-def _move_group_node(service: Service, namespace: str) -> Iterator[tuple[Ros, ...]]:
-    """The participant of MoveIt's interface, if it is asked for."""
-    if not service.options.moveit:
-        yield ()
-        return
-    with Ros(MOVE_GROUP, namespace, workers=MOVE_GROUP_WORKERS, parameters=True) as ros:
-        yield (ros,)
+def _participants(service: Service, namespace: str) -> Iterator[tuple[Ros | None, Ros | None]]:
+    """The participants of MoveIt's interface, and of the client of a controller's action, where these are wanted."""
+    params = service.robot.descriptor.strategy_params
+    with ExitStack() as stack:
+        moveit = controller = None
+        if service.options.moveit:
+            moveit = stack.enter_context(Ros(MOVE_GROUP, namespace, workers=MOVE_GROUP_WORKERS, parameters=True))
+        if params is not None and params.action is not None:
+            controller = stack.enter_context(Ros(f"_{NODE}_controller", namespace, workers=0))
+        yield moveit, controller
 
 
 def _namespace(service: Service) -> str:

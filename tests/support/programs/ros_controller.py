@@ -2,20 +2,30 @@
 
     python ros_controller.py COMMAND_TOPIC JOINT_STATES_TOPIC JOINT=RAD ...
 
-It takes trajectories as the controller does: by joint name, quintic between points that have velocities and accelerations,
-a new trajectory replaces the old one from the moment it arrives, an empty one holds. The joints follow exactly. States
-come at 100 Hz, joints in alphabetical order, as the broadcaster of UR's driver lists them.
+It takes trajectories as the controller does, on the topic and by its action beside it, `.../follow_joint_trajectory`: by joint
+name, quintic between points that have velocities and accelerations, a new trajectory replaces the old one from the moment it
+arrives and cancels its goal, an empty one or a cancel holds. The joints follow exactly. States come at 100 Hz, joints in
+alphabetical order, as the broadcaster of UR's driver lists them.
+
+On COMMAND_TOPIC/fault it takes what is wrong from now on: `inactive` rejects goals, `violate` ends the running goal with
+PATH_TOLERANCE_VIOLATED, an empty text is no fault.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from typing import Any
 
 import numpy as np
 import rclpy
+from control_msgs.action import FollowJointTrajectory
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 PERIOD = 0.01
@@ -31,10 +41,52 @@ class Controller(Node):
         self.rows = np.zeros((0, 3, len(self.names)))
         self.began = 0.0
         self.states = self.create_publisher(JointState, states_topic, 10)
+        self.fault = ""
+        self.goal: Any = None
+        group = ReentrantCallbackGroup()
         self.create_subscription(JointTrajectory, command_topic, self.take, 10)
+        self.create_subscription(String, f"{command_topic}/fault", self.take_fault, 10)
         self.create_timer(PERIOD, self.tick)
+        self.action = ActionServer(
+            self,
+            FollowJointTrajectory,
+            f"{command_topic.rpartition('/')[0]}/follow_joint_trajectory",
+            self.carry_out,
+            goal_callback=lambda _: GoalResponse.REJECT if self.fault == "inactive" else GoalResponse.ACCEPT,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            callback_group=group,
+        )
+
+    def take_fault(self, message: String) -> None:
+        self.fault = message.data
+
+    def carry_out(self, goal: Any) -> Any:
+        """Follow a goal in a thread of its own until it is played, cancelled, replaced or at fault."""
+        result = FollowJointTrajectory.Result()
+        self.goal = goal
+        self.take(goal.request.trajectory)
+        self.goal = goal
+        while time.monotonic() - self.began < (self.times[-1] if self.times.size else 0.0) or self.goal is not goal:
+            if self.goal is not goal:
+                result.error_code, result.error_string = result.INVALID_GOAL, "the goal was replaced"
+                goal.abort()
+                return result
+            if goal.is_cancel_requested:
+                self.take(JointTrajectory())
+                goal.canceled()
+                return result
+            if self.fault == "violate":
+                self.take(JointTrajectory())
+                result.error_code = result.PATH_TOLERANCE_VIOLATED
+                result.error_string = "the elbow is held"
+                goal.abort()
+                return result
+            time.sleep(PERIOD / 2)
+        goal.succeed()
+        return result
 
     def take(self, message: JointTrajectory) -> None:
+        self.goal = None
         self.began = time.monotonic()
         self.times = np.array([p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for p in message.points])
         if self.times.size == 0:
@@ -75,7 +127,9 @@ def main() -> None:
     node = Controller(command_topic, states_topic, {name: float(at) for name, at in (j.split("=") for j in joints)})
     sys.stdout.write("ready\n")
     sys.stdout.flush()
-    rclpy.spin(node)
+    executor = MultiThreadedExecutor(4)
+    executor.add_node(node)
+    executor.spin()
 
 
 if __name__ == "__main__":

@@ -52,10 +52,14 @@ class DriverCommand(Message):
 
 
 class DriverProgress(ShortMessage):
-    """The share of the points of command `sequence` that the driver has played; 1 at the end."""
+    """The share of the points of command `sequence` that the driver has played; 1 at the end.
+
+    With a `problem` it plays no further, for the reason that this gives: it refused the command, or has ended it.
+    """
 
     sequence: SequenceNumber
     fraction: Annotated[float, Field(ge=0, le=1)]
+    problem: Annotated[str, Field(min_length=1, max_length=2000)] | None = None
 
 
 class DriverFault(ShortMessage):

@@ -52,6 +52,10 @@ class Strategy(ABC):
         """Why this strategy cannot be opened now, in a sentence with the remedy; None if it can."""
         return None
 
+    def problem(self) -> str | None:
+        """Why the driver plays no further what it was sent, in its words; None if it has not said so."""
+        return None
+
     @abstractmethod
     def open(self) -> None:
         """Take control of the robot. Raises a ZarmError if that fails; nothing is held then."""

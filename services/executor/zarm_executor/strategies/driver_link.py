@@ -178,6 +178,11 @@ class DriverLink:
         received = self._progress.received()
         return received[0].fraction if received is not None and received[0].sequence == sequence else None
 
+    def problem(self, sequence: int) -> str | None:
+        """Why the driver plays the command `sequence` no further; None if it has not said so."""
+        received = self._progress.received()
+        return received[0].problem if received is not None and received[0].sequence == sequence else None
+
     def obstacle(self) -> str | None:
         """Why the robot cannot be moved through this driver now; None if it can."""
         measured = self.measured()

@@ -132,6 +132,10 @@ class JointTrajectory(DriverStrategy):
         command = self._command
         return PathState(0.0, 0.0) if command is None else command.at(self._playing(command) + _LEARNS)
 
+    def problem(self) -> str | None:
+        """What the controller says of the trajectory that it refused or gave up."""
+        return None if self._sequence is None or self._braking or self._unsent else self.link.problem(self._sequence)
+
     def progress(self) -> Progress:
         """How far the robot is."""
         trajectory, command = self._trajectory, self._command
