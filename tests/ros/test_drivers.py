@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -107,6 +108,24 @@ def test_what_a_controller_refuses_or_gives_up_ends_the_goal_with_its_reason(
         faulty(ros, "")
         last = client.execute(rest_to_rest(home, np.array(client.position()), robot=UR5E))
         assert client.ended(last).status == "succeeded"
+
+
+def test_a_motion_waits_while_the_robot_is_paused_by_its_own_controls(
+    apart: tuple[str, Bus], tmp_path: Path, ros: RosClient
+) -> None:
+    home = np.array(UR5E.descriptor.home)
+    there = home + (0.6, -0.3, 0.2, 0.0, 0.0, 0.4)
+    with ur5e(*apart, tmp_path) as client:
+        goal = client.execute(rest_to_rest(there, home, robot=UR5E))
+        client.under_way(goal)
+        faulty(ros, "slow 0")
+        eventually(client.stands, "the robot stands")
+        waited = time.monotonic() + 2 * UR5E.descriptor.execution.progress_timeout
+        eventually(lambda: time.monotonic() > waited, "longer than a driver may stand still otherwise")
+        assert not client.goal(goal).done
+        faulty(ros, "slow 40")
+        assert client.ended(goal).status == "succeeded"
+        np.testing.assert_allclose(client.position(), there, atol=1e-3)
 
 
 @pytest.mark.slow  # as the M1013 is, in test_driven_path.py

@@ -427,6 +427,7 @@ EXAMPLES: tuple[Message, ...] = (
         position=((-0.2, 0.1),),
     ),
     m.DriverCommand(sequence=9, joint_names=("elbow", "shoulder")),
+    m.DriverSpeed(scale=0.4),
     m.DriverProgress(sequence=7, fraction=0.5, problem="the controller is inactive"),
     m.DriverFault(stall=True, drop=0.5, delay=0.2, silent=True, die=True, jump=(0.1, -0.2)),
     # every service

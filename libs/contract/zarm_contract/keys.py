@@ -19,6 +19,7 @@ from zarm_contract.messages import (
     DriverCommand,
     DriverFault,
     DriverProgress,
+    DriverSpeed,
     ExecuteRequest,
     ExecutorState,
     FkPoses,
@@ -288,6 +289,15 @@ class Keys:
         "driver/progress",
         DriverProgress,
         "How much of the command the driver has played.",
+        by=("driver", "bridge"),
+        realtime=True,
+        droppable=False,
+        recorded="changes",
+    )
+    driver_speed = Topic(
+        "driver/speed",
+        DriverSpeed,
+        "How fast the robot lets itself be moved by its own controls.",
         by=("driver", "bridge"),
         realtime=True,
         droppable=False,

@@ -141,6 +141,9 @@ class ExecutionSettings(_Section):
     """... and this much more (s)."""
     progress_timeout: Positive = 1.0
     """How long the driver of a moving robot may stay at one point of its path (s)."""
+    paused_timeout: NonNegative = 300.0
+    """How long a motion waits while the robot is paused by its own controls, as its pendant or a protective stop (s); then it ends in a fault.
+    Known from a driver that reports its speed."""
     faults: FaultPolicy = "latch"
     """How a fault is left. `latch`: by `reset` alone. `clear_at_rest`: also by the next goal, once the robot rests and reports its joints. A robot that did not stop when it was told to needs a `reset` either way."""
 
@@ -169,6 +172,9 @@ class StrategyParams(_Section):
     """ROS topic on which the driver takes trajectories. On Zenoh it is `driver/command`."""
     state_topic: Annotated[str, Field(min_length=1)] | None = None
     """ROS topic on which the driver reports its progress, 0 to 1. Left out: the executor computes the progress from the joint states."""
+    speed_scaling_topic: Annotated[str, Field(min_length=1)] | None = None
+    """ROS topic of the speed that the robot's own controls allow, in percent: a UR's `/speed_scaling_state_broadcaster/speed_scaling`. While that
+    is 0, the motion is paused (`execution.paused_timeout`)."""
     joint_states_topic: str = Field(min_length=1)
     """ROS topic of the joint states."""
     action: Annotated[str, Field(min_length=1)] | None = None

@@ -254,7 +254,7 @@ class GoalExecution:
             if self.outcome is None:
                 if (reason := self._strategy.problem()) is not None:
                     raise ExecutionFailed(f"the driver gave up the motion: {reason}", code="driver_stalled")
-                self._note_joint_reports(goal.monitor.follow(now, dt, progress, measured))
+                self._note_joint_reports(goal.monitor.follow(now, dt, progress, measured, self._strategy.pace()))
                 self._apply_authority(now, progress, guarded=guarded)
             if self._moving:
                 late = goal.late(now, self._held_until)

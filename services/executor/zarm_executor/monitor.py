@@ -44,6 +44,7 @@ class Monitor:
         self._reached = 0.0
         self._reached_at: float | None = None
         self._received_at: float | None = None
+        self._paused_for = 0.0
 
     def steer(self, trajectory: TimedTrajectory) -> None:
         """Continue along `trajectory`, which at its present time is where the previous one is."""
@@ -53,14 +54,15 @@ class Monitor:
         """Continue the motion after a stop."""
         self._stopping_since = self._rest_since = None
 
-    def follow(self, now: float, dt: float, progress: Progress, measured: Measured | None) -> bool:
+    def follow(self, now: float, dt: float, progress: Progress, measured: Measured | None, pace: float = 1.0) -> bool:
         """Whether the robot is seen to follow; while its joints are not reported, the strategy holds it for up to
         `hold_timeout`.
 
         Raises ExecutionFailed if it does not follow: `tolerance_violated` or `driver_stalled`.
 
         The allowed duration counts time at path speed 1, so slowing down or holding by the executor does not count
-        against the robot. A driver slower than commanded is still on the path: the allowed duration is that at
+        against the robot. At the `pace` (0..1) that the robot's own controls allow, time passes as much slower; at 0 it stands still,
+        for at most `paused_timeout`. A driver slower than commanded is still on the path: the allowed duration is that at
         `SLOWEST_PACE`, and `progress_timeout` bounds how long it may stand still.
         """
         if not progress.at_rest:
@@ -70,8 +72,11 @@ class Monitor:
             return False
         self._received_at = now
         self._on_path(measured, progress)
-        self._advancing(now, progress)
-        self._commanded += 0.0 if progress.at_rest else dt * progress.speed
+        if self._paused(dt, progress, pace):
+            self._reached_at = None
+        else:
+            self._advancing(now, progress)
+        self._commanded += 0.0 if progress.at_rest else dt * progress.speed * pace
         execution = self._execution
         allowed = (
             execution.allowed_duration_factor * self._trajectory.duration / SLOWEST_PACE
@@ -97,6 +102,20 @@ class Monitor:
                 code="driver_stalled",
             )
         self._rest_since = self._reached_at = None
+
+    def _paused(self, dt: float, progress: Progress, pace: float) -> bool:
+        """Whether the robot's own controls hold it. Raises ExecutionFailed once they have for `paused_timeout`."""
+        if pace > 0.0 or progress.at_rest:
+            self._paused_for = 0.0
+            return False
+        self._paused_for += dt
+        if self._paused_for > self._execution.paused_timeout:
+            raise ExecutionFailed(
+                f"the robot has been paused by its own controls for {self._paused_for:.0f} s (paused_timeout "
+                f"{self._execution.paused_timeout:g} s); release it, then send the motion again",
+                code="driver_stalled",
+            )
+        return True
 
     def _advancing(self, now: float, progress: Progress) -> None:
         if self._reached_at is None or progress.at_rest or progress.time > self._reached:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -16,6 +17,8 @@ from zarm_ros_bridge.ros import Ros
 
 log = logging.getLogger(__name__)
 
+_DISCOVERY, _AGAIN = 0.8, 0.05
+"""How long (s) a controller may stay undiscovered, which is less than a robot may stand still; and how often that is looked at."""
 _Result = FollowJointTrajectory.Result
 _NAMES = {
     _Result.INVALID_GOAL: "INVALID_GOAL",
@@ -38,7 +41,7 @@ class ControllerAction:
         self._give_up = give_up
         self._client = ActionClient(ros.node, FollowJointTrajectory, name, callback_group=ros.group)
         self._run = ros.run
-        self._newest = 0
+        self._newest = self._waited_for = self._waits = 0
         self._handle: Any | None = None
 
     def play(self, sequence: int, trajectory: Any) -> None:
@@ -52,10 +55,25 @@ class ControllerAction:
     def _send(self, sequence: int, trajectory: Any) -> None:
         self._newest = sequence
         if not self._client.server_is_ready():
-            self._give_up(sequence, f"nobody serves {self._name}; start the controller, and see that it is active")
+            self._wait(sequence, trajectory)
             return
         sent = self._client.send_goal_async(FollowJointTrajectory.Goal(trajectory=trajectory))
         sent.add_done_callback(partial(self._answered, sequence))
+
+    def _wait(self, sequence: int, trajectory: Any) -> None:
+        """Send it soon, to a robot that rests and whose controller is not discovered yet; or give up."""
+        if self._handle is not None or self._waited_for != sequence:
+            self._waited_for, self._waits = sequence, 0
+        self._waits += 1
+        if self._handle is not None or self._waits * _AGAIN > _DISCOVERY:
+            self._give_up(sequence, f"nobody serves {self._name}; start the controller, and see that it is active")
+            return
+
+        def again() -> None:
+            if sequence == self._newest:
+                self._send(sequence, trajectory)
+
+        threading.Timer(_AGAIN, self._run, (again,)).start()
 
     def _answered(self, sequence: int, future: Future) -> None:
         handle = future.result()

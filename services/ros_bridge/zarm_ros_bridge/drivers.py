@@ -11,11 +11,11 @@ from typing import Any
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState as RosJointState
-from std_msgs.msg import Float32
+from std_msgs.msg import Float32, Float64
 from trajectory_msgs.msg import JointTrajectory
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import DriverCommand, DriverProgress, ExecutorState
+from zarm_contract.messages import DriverCommand, DriverProgress, DriverSpeed, ExecutorState
 from zarm_contract.robot import StrategyParams
 from zarm_ros_bridge.answers import shortened
 from zarm_ros_bridge.controller_action import ControllerAction
@@ -31,6 +31,9 @@ log = logging.getLogger(__name__)
 
 COMMAND_DEPTH = 10
 """Commands that may wait for a driver, as in the reference."""
+
+_SPEED_PERIOD = 1.0
+"""How often (s) a speed that does not change is passed on."""
 
 
 class Drivers:
@@ -53,6 +56,7 @@ class Drivers:
             if controller is None or params.action is None
             else ControllerAction(controller, params.action, self._give_up)
         )
+        self._scale, self._scaled_at = 1.0, 0.0
         self._whole = False  # whether commands are whole trajectories, which the action takes
         if self._action is not None:
             engine.bus.watch(keys.executor_state, self._on_state)
@@ -75,6 +79,9 @@ class Drivers:
         ros.listen(RosJointState, params.joint_states_topic, self._joint_states, qos_profile_sensor_data, raw=True)
         if params.state_topic is not None:
             ros.listen(Float32, params.state_topic, self._state, COMMAND_DEPTH)
+        if params.speed_scaling_topic is not None:
+            self._speed = engine.bus.publisher(keys.driver_speed)
+            ros.listen(Float64, params.speed_scaling_topic, self._speed_scaling, COMMAND_DEPTH)
         engine.bus.subscribe_timed(keys.driver_command, self._command)
 
     def _command(self, command: DriverCommand, arrived: float) -> None:
@@ -124,6 +131,17 @@ class Drivers:
             progress = self._progress.read(message.data)
         if progress is not None:
             self._played.put(progress)
+
+    def _speed_scaling(self, message: Float64) -> None:
+        """A percentage; passed on when it changes, and now and then for an executor that starts later."""
+        if not math.isfinite(message.data):
+            self._complain(f"speed scaling: {message.data} is not a percentage")
+            return
+        scale, now = min(max(message.data / 100.0, 0.0), 1.0), time.monotonic()
+        if scale == self._scale and now - self._scaled_at < _SPEED_PERIOD:
+            return
+        self._scale, self._scaled_at = scale, now
+        self._speed.put(DriverSpeed(scale=scale))
 
     def _complain(self, fault: str) -> None:
         if fault not in self._complaints and len(self._complaints) < 100:

@@ -42,6 +42,7 @@ class Arm(Steerable):
         self.exact = Measured(HOME, np.zeros(6), 0.0)
         self.disturb: Disturbance = lambda measured: measured
         self.played = 1.0
+        self.allowed = 1.0  # share of the speed that the robot's own controls allow
         self.failure: Unavailable | None = None
         self.deaf = False
         self.is_open = False
@@ -82,6 +83,9 @@ class Arm(Steerable):
         else:
             self.follower.advance(dt * self.played)
             self.exact = Measured(self.follower.position, self.follower.velocity, now)
+
+    def pace(self) -> float:
+        return self.allowed
 
     def joint_state(self) -> Measured | None:
         return self.disturb(self.exact)

@@ -8,7 +8,8 @@ arrives and cancels its goal, an empty one or a cancel holds. The joints follow 
 alphabetical order, as the broadcaster of UR's driver lists them.
 
 On COMMAND_TOPIC/fault it takes what is wrong from now on: `inactive` rejects goals, `violate` ends the running goal with
-PATH_TOLERANCE_VIOLATED, an empty text is no fault.
+PATH_TOLERANCE_VIOLATED, `slow 30` plays at 30 % of the speed, as a UR with its slider there, 0 as one that is paused; an empty text is
+no fault. The speed is on /speed_scaling_state_broadcaster/speed_scaling.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Float64, String
 from trajectory_msgs.msg import JointTrajectory
 
 PERIOD = 0.01
@@ -39,7 +40,8 @@ class Controller(Node):
         self.velocity = np.zeros(len(self.names))
         self.times = np.zeros(0)
         self.rows = np.zeros((0, 3, len(self.names)))
-        self.began = 0.0
+        self.played = 0.0
+        self.scaling = self.create_publisher(Float64, "/speed_scaling_state_broadcaster/speed_scaling", 10)
         self.states = self.create_publisher(JointState, states_topic, 10)
         self.fault = ""
         self.goal: Any = None
@@ -66,7 +68,7 @@ class Controller(Node):
         self.goal = goal
         self.take(goal.request.trajectory)
         self.goal = goal
-        while time.monotonic() - self.began < (self.times[-1] if self.times.size else 0.0) or self.goal is not goal:
+        while self.goal is not goal or (self.times.size and self.played < self.times[-1]):
             if self.goal is not goal:
                 result.error_code, result.error_string = result.INVALID_GOAL, "the goal was replaced"
                 goal.abort()
@@ -87,7 +89,7 @@ class Controller(Node):
 
     def take(self, message: JointTrajectory) -> None:
         self.goal = None
-        self.began = time.monotonic()
+        self.played = 0.0
         self.times = np.array([p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for p in message.points])
         if self.times.size == 0:
             self.velocity = np.zeros(len(self.names))
@@ -99,7 +101,11 @@ class Controller(Node):
 
     def tick(self) -> None:
         if self.times.size:
-            self.position, self.velocity = self.at(time.monotonic() - self.began)
+            scale = float(self.fault.removeprefix("slow ")) / 100 if self.fault.startswith("slow ") else 1.0
+            self.played += PERIOD * scale
+            self.position, self.velocity = self.at(self.played)
+            self.velocity = self.velocity * scale
+            self.scaling.publish(Float64(data=100 * scale))
         state = JointState(name=self.names, position=self.position.tolist(), velocity=self.velocity.tolist())
         state.header.stamp = self.get_clock().now().to_msg()
         self.states.publish(state)

@@ -344,3 +344,25 @@ def test_ticks_left_out_are_counted(bench: Bench) -> None:
     assert bench.machine.state().missed_ticks == 0
     bench.tick(5 * TICK)
     assert bench.machine.state().missed_ticks == 4
+
+
+def test_a_robot_that_its_own_controls_pause_is_waited_for_and_goes_on(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.arm.played = bench.arm.allowed = 0.0
+    bench.run(0.5 * EXECUTION.paused_timeout)
+    assert bench.machine.state().mode == "running"
+    bench.arm.played = bench.arm.allowed = 0.3
+    bench.until("idle", patience=60.0)
+    assert bench.last().status == "succeeded"
+
+
+def test_a_robot_that_stays_paused_by_its_own_controls_is_a_fault(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.arm.played = bench.arm.allowed = 0.0
+    bench.run(EXECUTION.paused_timeout * 0.99)
+    assert bench.machine.state().mode == "running"
+    bench.until("stopping", patience=EXECUTION.paused_timeout * 0.02)
+    bench.arm.played = bench.arm.allowed = 1.0
+    fails(bench, "driver_stalled", "paused_timeout 300 s")

@@ -5,7 +5,7 @@ descriptor; times of day are Unix seconds. Poses are of the descriptor's `tip_li
 """
 
 from zarm_contract._model import Message
-from zarm_contract.messages.driver import DriverCommand, DriverFault, DriverProgress
+from zarm_contract.messages.driver import DriverCommand, DriverFault, DriverProgress, DriverSpeed
 from zarm_contract.messages.executor import (
     Accepted,
     CancelRequest,
@@ -167,6 +167,7 @@ __all__ = [
     "DriverCommand",
     "DriverFault",
     "DriverProgress",
+    "DriverSpeed",
     "ExecuteRequest",
     "ExecutorState",
     "FkPoses",

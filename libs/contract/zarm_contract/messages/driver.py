@@ -62,6 +62,12 @@ class DriverProgress(ShortMessage):
     problem: Annotated[str, Field(min_length=1, max_length=2000)] | None = None
 
 
+class DriverSpeed(ShortMessage):
+    """The share of the commanded speed at which the robot moves by its own controls: a speed slider, or 0 while it is paused."""
+
+    scale: Annotated[float, Field(ge=0, le=1)]
+
+
 class DriverFault(ShortMessage):
     """The faults of a simulated driver from now on; a field that is left out has no fault.
 

@@ -56,6 +56,10 @@ class Strategy(ABC):
         """Why the driver plays no further what it was sent, in its words; None if it has not said so."""
         return None
 
+    def pace(self) -> float:
+        """The share (0..1) of the commanded speed that the robot's own controls allow."""
+        return 1.0
+
     @abstractmethod
     def open(self) -> None:
         """Take control of the robot. Raises a ZarmError if that fails; nothing is held then."""

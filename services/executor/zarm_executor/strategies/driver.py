@@ -45,6 +45,10 @@ class DriverStrategy(Strategy):
         """Something to play was sent, so the driver is not empty."""
         self._held_at, self._emptied = now, False
 
+    def pace(self) -> float:
+        """As the driver reports it."""
+        return self.link.pace()
+
     def obstacle(self) -> str | None:
         """No driver, or a silent one."""
         return self.link.obstacle()

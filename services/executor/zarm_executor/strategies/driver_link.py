@@ -56,6 +56,7 @@ class DriverLink:
         self._commands = bus.publisher(keys.driver_command)
         self._states = bus.latest(keys.driver_joint_states)
         self._progress = bus.latest(keys.driver_progress)
+        self._speed = bus.latest(keys.driver_speed)
         self._sequence = 0
         self._measured: Measured | None = None
         self._stamp: float | None = None
@@ -182,6 +183,11 @@ class DriverLink:
         """Why the driver plays the command `sequence` no further; None if it has not said so."""
         received = self._progress.received()
         return received[0].problem if received is not None and received[0].sequence == sequence else None
+
+    def pace(self) -> float:
+        """The share (0..1) of the commanded speed that the robot's own controls allow; 1 unless the driver reports it."""
+        received = self._speed.received()
+        return 1.0 if received is None else received[0].scale
 
     def obstacle(self) -> str | None:
         """Why the robot cannot be moved through this driver now; None if it can."""
