@@ -89,7 +89,8 @@ class Wire:
         self.bench.commands.append((self.bench.now, command))
 
     def latest(self, key: str) -> Told:
-        return self.bench.joint_states if key == KEYS.driver_joint_states else self.bench.progress
+        told = {KEYS.driver_joint_states: self.bench.joint_states, KEYS.driver_progress: self.bench.progress}
+        return told.get(key, Told())
 
 
 class Told:
