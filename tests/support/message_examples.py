@@ -53,6 +53,7 @@ _MESH = m.Mesh(
     orientation=(0.0, 0.0, 0.6, 0.8),
     file="fixtures/vice.stl",
     scale=(0.001, 0.001, 0.001),
+    data="AAAA",
     sha256="5f" * 32,
 )
 _VOXELS = m.Voxels(

@@ -420,7 +420,8 @@ class Cylinder(_Checked, messages.Cylinder):
 class Mesh(_Checked, messages.Mesh):
     """Triangles of an STL or OBJ `file`, a path inside one of the planner's mesh folders; a closed mesh is solid.
 
-    `scale` multiplies the file's coordinates to make them m: one number, or one for each axis; 0.001 for mm.
+    `scale` multiplies the file's coordinates to make them m: one number, or one for each axis; 0.001 for mm. With `data`, the content of the
+    file, the planner needs no file of this name.
     """
 
     def __init__(
@@ -431,10 +432,17 @@ class Mesh(_Checked, messages.Mesh):
         position: Numbers,
         orientation: Numbers = IDENTITY,
         scale: float | Numbers = 1.0,
+        data: bytes | str | None = None,
         sha256: str | None = None,
     ) -> None:
         factors = (float(scale),) * 3 if isinstance(scale, int | float) else numbers(scale, "scale")
-        super().__init__(**_placed("mesh", name, position, orientation), file=str(file), scale=factors, sha256=sha256)
+        super().__init__(
+            **_placed("mesh", name, position, orientation),
+            file=str(file),
+            scale=factors,
+            data=b64encode(data).decode() if isinstance(data, bytes) else data,
+            sha256=sha256,
+        )
 
 
 class Voxels(_Checked, messages.Voxels):

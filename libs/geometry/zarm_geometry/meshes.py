@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import hashlib
 import stat
+from base64 import b64decode
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -122,10 +123,12 @@ class Meshes:
         def refused(reason: str) -> InvalidRequest:
             return InvalidRequest(f"{item.name}: {reason}", field=f"{field}.file")
 
-        if not self._folders:
-            raise refused("this planner reads no meshes; start it with --meshes FOLDER")
         if Path(item.file).suffix.lower() not in _SUFFIXES:
             raise refused(f"{item.file} is neither an .stl nor an .obj file; convert it to one of these")
+        if item.data is not None:
+            return _decoded(item, field)
+        if not self._folders:
+            raise refused("this planner reads no meshes; start it with --meshes FOLDER")
         for folder in self._folders:
             try:
                 home = folder.resolve(strict=True)
@@ -145,6 +148,14 @@ class Meshes:
             except (OSError, ValueError, RuntimeError) as error:  # a null character or a loop of links, too
                 raise refused(f"cannot read {item.file}: {getattr(error, 'strerror', None) or error}") from error
         raise refused(f"there is no file {item.file} in {', '.join(map(str, self._folders))}; check the name")
+
+
+def _decoded(item: Mesh, field: str) -> bytes:
+    """The content that a mesh carries itself. Raises InvalidRequest."""
+    try:
+        return b64decode(item.data or "", validate=True)
+    except ValueError as error:
+        raise InvalidRequest(f"{item.name}: this is no base64: {error}", field=f"{field}.data") from error
 
 
 def _held(item: Mesh, content: bytes, field: str) -> _Read:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from base64 import b64decode
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,7 +88,20 @@ def file_mesh(file: Path, scale: tuple[float, float, float]) -> trimesh.Trimesh:
         read = mesh_files.read(file.name, file.read_bytes(), lambda name: (file.parent / name).read_bytes())
     except mesh_files.Unreadable as error:
         raise ValueError(f"{file} cannot be read: {error}") from error
-    points = read.triangles.reshape(-1, 3) * scale
+    return _in_metres(read.triangles, scale)
+
+
+def held_mesh(name: str, content: bytes, scale: tuple[float, float, float]) -> trimesh.Trimesh:
+    """The same of the content of a file of this name."""
+    try:
+        read = mesh_files.read(name, content)
+    except mesh_files.Unreadable as error:
+        raise ValueError(f"{name} cannot be read: {error}") from error
+    return _in_metres(read.triangles, scale)
+
+
+def _in_metres(triangles: NDArray[np.float64], scale: tuple[float, float, float]) -> trimesh.Trimesh:
+    points = triangles.reshape(-1, 3) * scale
     return _edged(trimesh.Trimesh(points, np.arange(len(points)).reshape(-1, 3), process=False))
 
 
@@ -147,6 +161,11 @@ def _edged(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _draw_mesh(brush: Brush, name: str, item: Mesh, at: SE3, meshes: tuple[Path, ...]) -> SceneNodeHandle | None:
+    if item.data is not None:
+        try:
+            return brush.mesh(name, held_mesh(item.file, b64decode(item.data), item.scale), at)
+        except ValueError:
+            return None
     for folder in meshes:
         file = (folder / item.file).resolve()
         if file.is_relative_to(folder.resolve()) and file.is_file():

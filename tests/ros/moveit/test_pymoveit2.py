@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+import trimesh
 from moveit_msgs.action import MoveGroup
 from pymoveit2 import MoveIt2
 from pymoveit2.robot_description import RobotDescription
@@ -121,6 +122,20 @@ def test_every_shape_is_added_moved_and_removed(moveit: MoveIt2, robot: Robot) -
     assert {item.id for item in moveit.planning_scene.world.collision_objects} == {"ball", "post", "cone"}
     assert answer(moveit.clear_all_collision_objects(timeout_sec=PATIENCE), "all are removed").success
     eventually(lambda: not robot.scene.objects(), "the scene is empty")
+
+
+def test_a_mesh_is_an_obstacle_and_comes_back_as_it_was(moveit: MoveIt2, robot: Robot) -> None:
+    there = {"position": (0.3, -0.6, 0.4), "quat_xyzw": DOWN}
+    block = trimesh.creation.box((0.2, 0.2, 0.2))
+    moveit.add_collision_mesh(None, "block", mesh=block, **there)
+    eventually(lambda: "block" in robot.scene.objects(), "it is in the scene")
+    assert moveit.plan(**there) is None
+    assert moveit.update_planning_scene(timeout_sec=PATIENCE)
+    (item,) = moveit.planning_scene.world.collision_objects
+    assert (len(item.meshes[0].vertices), len(item.meshes[0].triangles)) == (8, 12)
+    assert item.pose.position.y == pytest.approx(-0.6)
+    moveit.remove_collision_object("block")
+    eventually(lambda: "block" not in robot.scene.objects(), "it is gone")
 
 
 def test_an_object_is_attached_and_detached(moveit: MoveIt2, robot: Robot) -> None:

@@ -67,7 +67,8 @@ class Cylinder(Message):
 class Mesh(Message):
     """Triangles from an STL or OBJ `file`, a path inside a mesh folder of the planner. A closed mesh is solid.
 
-    Numbers in the file are m, times `scale`. The scene fills in `sha256` of the file and refuses a file that has changed.
+    With `data`, the content of the file in base64, the planner needs no file of this name, up to some 55,000 triangles in binary STL. Numbers
+    in the file are m, times `scale`. The scene fills in `sha256` of the file and refuses a file that has changed.
     """
 
     kind: Literal["mesh"]
@@ -76,6 +77,7 @@ class Mesh(Message):
     orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
     file: Annotated[str, Field(min_length=1, max_length=255)]
     scale: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
+    data: Annotated[str, Field(max_length=4_000_000)] | None = None
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
 
 

@@ -84,9 +84,7 @@ def _sampled(edge: Profile, a: Array, b: Array, limits: Limits, dt: float) -> Ti
         for samples in _LONGER:
             other = _straight(a, b, limits, dt, samples)
             if other.duration < fastest.duration:
-                fastest = min(
-                    fastest, within(partial(other.sample, dt=dt), limits), key=lambda motion: motion.duration
-                )
+                fastest = min(fastest, within(partial(other.sample, dt=dt), limits), key=lambda motion: motion.duration)
     return fastest
 
 
