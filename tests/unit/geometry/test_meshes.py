@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gc
+import hashlib
 import os
+from base64 import b64encode
 from collections.abc import Callable
 from pathlib import Path
 
@@ -367,3 +369,26 @@ def test_a_world_takes_over_what_an_earlier_one_has_made_ready_of_the_same_mesh_
     assert len(after.rows) == len(before.rows) + 1
     with pytest.raises(Unavailable):
         World((item.model_copy(update={"position": (0.1, 0.0, 0.0)}),), 0.0, Meshes(), before)
+
+
+def test_a_mesh_that_carries_its_file_needs_no_folder(tmp_path: Path) -> None:
+    content = saved(trimesh.creation.box((0.1, 0.1, 0.1)), tmp_path / "box.stl").read_bytes()
+    meshes = Meshes()
+    carried = mesh("anything.stl", data=b64encode(content).decode())
+    held = meshes.checked(carried, "edit.objects.0")
+    assert held.sha256 == hashlib.sha256(content).hexdigest()
+    assert len(meshes.tree(held).rows) == len(Meshes([tmp_path]).tree(mesh("box.stl")).rows)
+
+
+@pytest.mark.parametrize(
+    ("file", "data", "field", "says"),
+    [
+        ("box.stl", "no base64", "edit.objects.0.data", "no base64"),
+        ("box.stl", "AAAA", "edit.objects.0.file", "cannot be read"),
+        ("box.step", "AAAA", "edit.objects.0.file", "neither an .stl nor an .obj"),
+    ],
+)
+def test_a_mesh_that_carries_something_else_is_refused(file: str, data: str, field: str, says: str) -> None:
+    with pytest.raises(InvalidRequest, match=says) as refused:
+        Meshes().checked(mesh(file, data=data), "edit.objects.0")
+    assert refused.value.problem.field == field
