@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -69,10 +69,13 @@ def _held(
 ) -> PathConstraint:
     """What of the tip's pose at the start is to stay, for the constraints to be kept."""
     tip = robot.descriptor.tip_link
-    links_held = {one.link for one in constraints.positions} | {one.link for one in constraints.orientations}
-    if constraints.joints or links_held - {tip}:
+    at = links(start)
+    held = {one.link for one in constraints.positions} | {one.link for one in constraints.orientations}
+    turns = {link: _axes_of(at[tip], at[link]) for link in held if _moves_with(link, tip, robot)}
+    if constraints.joints or any(turns.get(link) is None for link in held):
         raise PlanningFailed(
-            f"the motion found breaks the path constraints, and only those of {tip} can be planned for; widen the others",
+            f"the motion found breaks the path constraints, and only those of {tip}, or of a link that is fixed to it along the "
+            "same axes, can be planned for; widen the others",
             field="path_constraints",
         )
     if constraints.orientations and constraints.positions:
@@ -80,29 +83,49 @@ def _held(
             "the motion found breaks the path constraints, and position and orientation cannot both be planned for; widen one",
             field="path_constraints",
         )
-    at = links(start)[tip]
     if constraints.orientations:
-        return _turning(constraints, at)
+        return _turning(constraints, at, turns)
     return _moving(constraints, at)
 
 
-def _turning(constraints: ConstraintSet, at: Any) -> PathConstraint:
+def _moves_with(link: str, tip: str, robot: RobotDescription) -> bool:
+    """Whether a link is fixed to the tip."""
+
+    def body(name: str) -> str:
+        while (joint := robot.urdf.joint_of_child.get(name)) is not None and joint.type == "fixed":
+            name = joint.parent
+        return name
+
+    return body(link) == body(tip)
+
+
+def _axes_of(tip: Any, link: Any) -> tuple[int, ...] | None:
+    """For each axis of a link, which of the tip's is along it; None if they are not along each other."""
+    along = np.abs(tip[:3, :3].T @ link[:3, :3])
+    axes = along.argmax(axis=0)
+    return tuple(axes.tolist()) if np.allclose(along.max(axis=0), 1.0, atol=1e-6) else None
+
+
+def _turning(
+    constraints: ConstraintSet, at: dict[str, Any], turns: Mapping[str, tuple[int, ...] | None]
+) -> PathConstraint:
     axes, tolerance = [False] * 3, _ANGLES[1]
     for orientation in constraints.orientations:
-        off = deviation(orientation, at[:3, :3])
+        along = turns[orientation.link] or (0, 1, 2)
+        off = deviation(orientation, at[orientation.link][:3, :3])
         free = any(most >= FREE for most in orientation.tolerance)
         for i, (most, now) in enumerate(zip(orientation.tolerance, off, strict=True)):
             if most < FREE:
-                axes[i] = True
+                axes[along[i]] = True
                 tolerance = min(tolerance, (most - now) * (math.sqrt(0.5) if free else 1.0))
     x, y, z = axes
     return PathConstraint(axes=(x, y, z, False, False, False), frame="tool", angle_tolerance=max(tolerance, _ANGLES[0]))
 
 
-def _moving(constraints: ConstraintSet, at: Any) -> PathConstraint:
+def _moving(constraints: ConstraintSet, at: dict[str, Any]) -> PathConstraint:
     axes, tolerance = [False] * 3, _DISTANCES[1]
     for region in constraints.positions:
-        inside = np.abs(np.linalg.inv(region.pose) @ at @ np.append(region.offset, 1.0))[:3]
+        inside = np.abs(np.linalg.inv(region.pose) @ at[region.link] @ np.append(region.offset, 1.0))[:3]
         half = np.array(region.half if region.half is not None else [(region.radius or 0.0) / math.sqrt(3.0)] * 3)
         turn = np.abs(region.pose[:3, :3])  # the box's axes in the base frame
         for i in range(3):
