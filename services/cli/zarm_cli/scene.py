@@ -37,7 +37,7 @@ def show(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Nam
         return
     table = Table("name", "kind", "position (m)", "orientation (x, y, z, w)", "dimensions (m)", box=None)
     for one in (*scene.objects, *(carried.object for carried in scene.attached)):
-        fields = one.model_dump(exclude={"kind", "name", "position", "orientation", "sha256"})
+        fields = one.model_dump(exclude={"kind", "name", "position", "orientation", "sha256", "data"})
         if isinstance(one, Voxels):
             fields["cells"] = len(one.cells)
         table.add_row(
