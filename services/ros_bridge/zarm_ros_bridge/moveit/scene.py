@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, MutableMapping
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -16,7 +17,7 @@ from moveit_msgs.msg import (
     PlanningSceneComponents,
 )
 from moveit_msgs.msg import MoveItErrorCodes as Val
-from moveit_msgs.srv import ApplyPlanningScene, GetPlanningScene
+from moveit_msgs.srv import ApplyPlanningScene, GetPlanningScene, LoadGeometryFromFile, SaveGeometryToFile
 from numpy.typing import NDArray
 from rclpy.qos import QoSProfile
 
@@ -30,6 +31,7 @@ from zarm_ros_bridge.moveit.allowances import Allowances
 from zarm_ros_bridge.moveit.collision_objects import id_of, moved, name_of, origin_of, parts_of, placement
 from zarm_ros_bridge.moveit.error_codes import Refusal
 from zarm_ros_bridge.moveit.planning_scene import ALL, PlanningSceneMessages, grouped
+from zarm_ros_bridge.moveit.scene_text import objects_of, text_of
 from zarm_ros_bridge.ros import Ros
 
 log = logging.getLogger(__name__)
@@ -59,6 +61,8 @@ class PlanningScenes:
         self._thread = threading.Thread(target=self._publish, name="planning scene")
         ros.serve(GetPlanningScene, "get_planning_scene", self._get)
         ros.serve(ApplyPlanningScene, "apply_planning_scene", self._apply)
+        ros.serve(SaveGeometryToFile, "save_geometry_to_file", self._save)
+        ros.serve(LoadGeometryFromFile, "load_geometry_from_file", self._load)
         for kind, topic, edit in (
             (CollisionObject, "collision_object", self._object),
             (AttachedCollisionObject, "attached_collision_object", self._attachment),
@@ -103,6 +107,14 @@ class PlanningScenes:
 
     def _apply(self, request: Any, response: Any) -> Any:
         response.success = self._done("apply_planning_scene", self._edit, request.scene)
+        return response
+
+    def _save(self, request: Any, response: Any) -> Any:
+        response.success = self._done("save_geometry_to_file", self._write, request.file_path_and_name)
+        return response
+
+    def _load(self, request: Any, response: Any) -> Any:
+        response.success = self._done("load_geometry_from_file", self._read, request.file_path_and_name)
         return response
 
     def _listened(self, topic: str, edit: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -158,6 +170,26 @@ class PlanningScenes:
         for colour in message.object_colors:
             c = colour.color
             self._colours[name_of(colour.id)] = (c.r, c.g, c.b, c.a)
+
+    def _write(self, name: str) -> None:
+        """Save the objects to a file of this machine."""
+        scene = self._engine.client.scene.read()
+        items = self._messages.message(scene, None).world.collision_objects
+        path = _file(name)
+        try:
+            path.write_text(text_of(scene.revision, items, dict(self._colours)))
+        except OSError as error:
+            raise Refusal(Val.FAILURE, f"{path} cannot be written: {error.strerror}", "file_path_and_name") from error
+
+    def _read(self, name: str) -> None:
+        """Add the objects of a file of this machine."""
+        path = _file(name)
+        try:
+            text = path.read_text()
+        except (OSError, UnicodeDecodeError) as error:
+            raise Refusal(Val.FAILURE, f"{path} cannot be read: {error}", "file_path_and_name") from error
+        for item in objects_of(text, self._frames.links.base):
+            self._object(item)
 
     def _object(self, message: Any) -> None:
         scene = self._engine.client.scene
@@ -310,6 +342,16 @@ class PlanningScenes:
             return self._frames.joints()
         except ZarmError:
             return None
+
+
+def _file(name: str) -> Path:
+    """A file that a client may name. Raises Refusal for any other kind of file."""
+    path = Path(name)
+    if path.suffix != ".scene":
+        raise Refusal(
+            Val.FAILURE, f"{name!r} is no file of a scene; give one that ends with .scene", "file_path_and_name"
+        )
+    return path
 
 
 def _names(parts: list[SceneObject]) -> list[str]:

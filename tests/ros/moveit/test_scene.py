@@ -1,0 +1,184 @@
+"""One scene: what clients of MoveIt add, move, attach and save is zarm's, and the other way round."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Point, Pose
+from moveit_msgs.msg import CollisionObject, LinkPadding, ObjectColor, PlanningScene, PlanningSceneComponents
+from moveit_msgs.srv import (
+    ApplyPlanningScene,
+    GetPlanningScene,
+    GetStateValidity,
+    LoadGeometryFromFile,
+    SaveGeometryToFile,
+)
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from shape_msgs.msg import Plane, SolidPrimitive
+from std_msgs.msg import ColorRGBA
+
+import zarm
+from support.harness import eventually
+from support.ros.moveit import quaternion
+from support.ros.stack import KEYS, Stack
+from zarm.connection import Connection
+from zarm.robot import Robot
+from zarm_contract.robot import load_robot
+
+ROBOT = load_robot("doosan_m1013")
+JOINTS, HOME = ROBOT.descriptor.joints, ROBOT.descriptor.home
+
+
+@pytest.fixture
+def robot(arm: Stack) -> Iterator[Robot]:
+    """The robot at home, in an empty scene, which is empty again afterwards."""
+    robot = Robot(Connection.of(arm.bus, KEYS))
+    robot.scene.clear()
+    robot.execute(robot.plan(HOME))
+    yield robot
+    robot.scene.clear()
+
+
+def at(x: float, y: float, z: float, q: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)) -> Pose:
+    return Pose(position=Point(x=x, y=y, z=z), orientation=quaternion(q))
+
+
+def shape(kind: int, *sizes: float) -> SolidPrimitive:
+    return SolidPrimitive(type=kind, dimensions=list(sizes))
+
+
+def item(identity: str, where: Pose, *shapes: tuple[SolidPrimitive, Pose], **fields: object) -> CollisionObject:
+    made = CollisionObject(id=identity, pose=where, **fields)
+    made.header.frame_id = "base_link"
+    made.primitives = [solid for solid, _ in shapes]
+    made.primitive_poses = [pose for _, pose in shapes]
+    return made
+
+
+SHELF = item(
+    "shelf",
+    at(0.9, 0.0, 0.2, (0.0, 0.0, 0.6, 0.8)),
+    (shape(SolidPrimitive.BOX, 0.4, 0.02, 0.4), at(0.0, 0.1, 0.0)),
+    (shape(SolidPrimitive.CYLINDER, 0.5, 0.03), at(0.0, -0.1, 0.0)),
+)
+
+
+def applied(arm: Stack, **fields: object) -> bool:
+    scene = PlanningScene(is_diff=True)
+    scene.world.collision_objects = fields.pop("objects", [])
+    for name, value in fields.items():
+        setattr(scene, name, value)
+    return bool(arm.ros.call(ApplyPlanningScene, "/apply_planning_scene", scene=scene).success)
+
+
+def fetched(arm: Stack) -> PlanningScene:
+    return arm.ros.call(GetPlanningScene, "/get_planning_scene", components=PlanningSceneComponents()).scene
+
+
+def test_an_object_of_several_shapes_is_moved_as_one(arm: Stack, robot: Robot) -> None:
+    assert applied(arm, objects=[SHELF])
+    parts = robot.scene.objects()
+    assert set(parts) == {"shelf..0", "shelf..1"}
+    (found,) = fetched(arm).world.collision_objects
+    assert (found.id, len(found.primitives)) == ("shelf", 2)
+    assert found.pose.position.x == pytest.approx(0.9)
+    assert found.primitive_poses[0].position.y == pytest.approx(0.1)
+    apart = np.subtract(parts["shelf..0"].position, parts["shelf..1"].position)
+    assert applied(
+        arm, objects=[item("shelf", at(0.9, 0.4, 0.2, (0.0, 0.0, 0.6, 0.8)), operation=CollisionObject.MOVE)]
+    )
+    moved = robot.scene.objects()
+    assert np.allclose(np.subtract(moved["shelf..0"].position, parts["shelf..0"].position), (0.0, 0.4, 0.0))
+    assert np.allclose(np.subtract(moved["shelf..0"].position, moved["shelf..1"].position), apart)
+    more = item("shelf", at(0.9, 0.4, 0.5), (shape(SolidPrimitive.SPHERE, 0.05), at(0.0, 0.0, 0.0)))
+    more.operation = CollisionObject.APPEND
+    assert applied(arm, objects=[more])
+    assert set(robot.scene.objects()) == {"shelf..0", "shelf..1", "shelf..2"}
+    assert applied(arm, objects=[item("shelf", at(0.0, 0.0, 0.0), operation=CollisionObject.REMOVE)])
+    assert not robot.scene.objects()
+
+
+def test_what_zarm_adds_is_in_the_planning_scene_and_changes_are_published(arm: Stack, robot: Robot) -> None:
+    heard = arm.ros.heard(PlanningScene, "/monitored_planning_scene", QoSProfile(depth=10))
+    robot.scene.add(zarm.Capsule("pipe", radius=0.05, length=0.4, position=(0.8, 0.5, 0.3)))
+    robot.scene.add(zarm.Cuboid("table", size=(0.5, 0.5, 0.02), position=(0.9, -0.5, 0.1)))
+    eventually(
+        lambda: heard and {one.id for one in heard[-1].world.collision_objects} == {"pipe", "table"},
+        "both are published",
+    )
+    assert not heard[-1].is_diff
+    found = {one.id: one for one in fetched(arm).world.collision_objects}
+    assert [one.type for one in found["pipe"].primitives] == [
+        SolidPrimitive.CYLINDER,
+        SolidPrimitive.SPHERE,
+        SolidPrimitive.SPHERE,
+    ]
+    assert list(found["table"].primitives[0].dimensions) == pytest.approx([0.5, 0.5, 0.02])
+
+
+def test_a_plane_is_a_floor_and_colours_stay(arm: Stack, robot: Robot) -> None:
+    floor = item("floor", at(0.0, 0.0, 0.0))
+    floor.planes, floor.plane_poses = [Plane(coef=[0.0, 0.0, 2.0, 0.4])], [at(0.0, 0.0, 0.0)]
+    assert applied(arm, objects=[floor])
+    slab = robot.scene.objects()["floor"]
+    assert slab.position[2] + slab.size[2] / 2 == pytest.approx(-0.2)
+    colour = ColorRGBA(r=0.1, g=0.2, b=0.3, a=1.0)
+    assert applied(arm, object_colors=[ObjectColor(id="floor", color=colour)])
+    (shown,) = fetched(arm).object_colors
+    assert (shown.id, round(shown.color.b, 3)) == ("floor", 0.3)
+
+
+def test_what_is_refused_changes_nothing(arm: Stack, robot: Robot) -> None:
+    assert not applied(arm, link_padding=[LinkPadding(link_name="link_5", padding=0.02)])
+    assert not applied(arm, objects=[item("thing", at(0.5, 0.0, 0.5), (shape(SolidPrimitive.BOX, 0.1), at(0, 0, 0)))])
+    assert not applied(arm, objects=[item("nothing", at(0.5, 0.0, 0.5))])
+    lost = item("lost", at(0.5, 0.0, 0.5), (shape(SolidPrimitive.SPHERE, 0.1), at(0.0, 0.0, 0.0)))
+    lost.header.frame_id = "moon"
+    assert not applied(arm, objects=[lost])
+    assert not applied(arm, objects=[item("gone", at(0.0, 0.0, 0.0), operation=CollisionObject.REMOVE)])
+    assert not robot.scene.objects()
+
+
+def test_the_scene_is_saved_and_loaded(arm: Stack, robot: Robot, tmp_path: Path) -> None:
+    cone = item("cone", at(-0.8, 0.5, 0.3), (shape(SolidPrimitive.CONE, 0.3, 0.1), at(0.0, 0.0, 0.0)))
+    assert applied(arm, objects=[SHELF, cone])
+    before = robot.scene.objects()
+    file = str(tmp_path / "cell.scene")
+    assert arm.ros.call(SaveGeometryToFile, "/save_geometry_to_file", file_path_and_name=file).success
+    robot.scene.clear()
+    assert arm.ros.call(LoadGeometryFromFile, "/load_geometry_from_file", file_path_and_name=file).success
+    after = robot.scene.objects()
+    assert set(after) == set(before)
+    assert after["shelf..0"].size == pytest.approx(before["shelf..0"].size)
+    assert after["shelf..1"].position == pytest.approx(before["shelf..1"].position)
+    assert (after["shelf..1"].radius, after["shelf..1"].length) == pytest.approx((0.03, 0.5))
+    for wrong in ("cell.txt", "none.scene"):
+        answer = arm.ros.call(
+            LoadGeometryFromFile, "/load_geometry_from_file", file_path_and_name=str(tmp_path / wrong)
+        )
+        assert not answer.success
+
+
+def test_a_text_of_an_earlier_moveit_is_loaded(arm: Stack, robot: Robot, tmp_path: Path) -> None:
+    file = tmp_path / "old.scene"
+    file.write_text("cell\n* block\n1\nbox\n0.1 0.2 0.3\n0.9 0.1 0.2\n0 0 0 1\n0 0 0 0\n.\n")
+    assert arm.ros.call(LoadGeometryFromFile, "/load_geometry_from_file", file_path_and_name=str(file)).success
+    assert robot.scene.objects()["block"].position == pytest.approx((0.9, 0.1, 0.2))
+
+
+def test_a_state_is_valid_or_names_what_it_touches(arm: Stack, robot: Robot) -> None:
+    state = fetched(arm).robot_state
+    state.joint_state = JointState(name=list(JOINTS), position=list(HOME))
+    free = arm.ros.call(GetStateValidity, "/check_state_validity", robot_state=state, group_name="arm")
+    assert free.valid
+    x, y, z = robot.fk([HOME])[0].position
+    robot.scene.add(zarm.Sphere("ball", radius=0.1, position=(x, y, z)))
+    hit = arm.ros.call(GetStateValidity, "/check_state_validity", robot_state=state, group_name="arm")
+    assert not hit.valid
+    (contact,) = hit.contacts
+    assert "ball" in (contact.contact_body_1, contact.contact_body_2)
+    assert contact.depth > 0.0
