@@ -15,6 +15,7 @@ T = TypeVar("T")
 
 _FIELDS = {
     ", set replace,": ",",  # add_object has no such field
+    ", see goal.tolerance": "",  # goals of curobo_ros have none, those of MoveIt have it elsewhere
     "breaks the path constraint": "breaks trajectory_constraints",
 }
 _SILENT = re.compile(r"nobody answered on zarm/\w+/(\w+)[\w/.*-]*")

@@ -5,10 +5,29 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from geometry_msgs.msg import TransformStamped
-from moveit_msgs.msg import Constraints, MotionSequenceItem, MotionSequenceRequest, MoveItErrorCodes, RobotState
-from moveit_msgs.srv import GetCartesianPath, GetMotionSequence
+from moveit_msgs.msg import (
+    Constraints,
+    MotionSequenceItem,
+    MotionSequenceRequest,
+    MoveItErrorCodes,
+    PlannerParams,
+    PositionIKRequest,
+    RobotState,
+)
+from moveit_msgs.srv import (
+    GetCartesianPath,
+    GetGroupUrdf,
+    GetMotionSequence,
+    GetMultiStateValidity,
+    GetPlannerParams,
+    GetPositionFK,
+    GetPositionIK,
+    QueryPlannerInterfaces,
+    SetPlannerParams,
+)
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from support.harness import eventually
@@ -311,3 +330,55 @@ def test_poses_in_the_frame_of_a_link_and_of_an_object_are_looked_up(arm: Stack,
     (tip,) = robot.fk([end_of(response)])
     ahead = np.array(home.position) + Rotation.from_quat(home.orientation).apply((0.0, 0.0, 0.05))
     assert np.allclose(tip.position, ahead, atol=1e-3)
+
+
+def test_planners_are_listed_and_their_settings_read_and_changed(arm: Stack, robot: Robot) -> None:
+    interfaces = arm.ros.call(QueryPlannerInterfaces, "/query_planner_interface").planner_interfaces
+    assert {one.pipeline_id: list(one.planner_ids) for one in interfaces} == {
+        "zarm": ["free"],
+        "pilz_industrial_motion_planner": ["PTP", "LIN", "CIRC", "POLYLINE"],
+    }
+    before = arm.ros.call(GetPlannerParams, "/get_planner_params").params
+    changed = PlannerParams(keys=["velocity_scale"], values=["0.5"])
+    arm.ros.call(SetPlannerParams, "/set_planner_params", params=changed)
+    after = arm.ros.call(GetPlannerParams, "/get_planner_params").params
+    assert dict(zip(after.keys, after.values, strict=True))["velocity_scale"] == "0.5"
+    assert robot.planner.settings().velocity_scale == 0.5
+    arm.ros.call(SetPlannerParams, "/set_planner_params", params=PlannerParams(keys=["warp"], values=["9"]))
+    arm.ros.call(SetPlannerParams, "/set_planner_params", params=before)
+    assert robot.planner.settings().velocity_scale == 1.0
+
+
+def test_the_urdf_of_the_group_is_that_of_the_robot(arm: Stack, robot: Robot) -> None:
+    answer = arm.ros.call(GetGroupUrdf, "/get_urdf", group_name="arm")
+    assert answer.error_code.val == SUCCESS
+    assert '<link name="link_6"' in answer.urdf_string
+    assert arm.ros.call(GetGroupUrdf, "/get_urdf", group_name="leg").error_code.val == E.INVALID_GROUP_NAME
+
+
+def test_many_states_are_checked_at_once(arm: Stack, robot: Robot) -> None:
+    states = [JointState(name=list(JOINTS), position=[turn, *HOME[1:]]) for turn in np.linspace(-1.0, 1.0, 1500)]
+    answer = arm.ros.call(GetMultiStateValidity, "/check_multi_state_validity", group_name="arm", joint_states=states)
+    assert answer.valid
+    states[700] = JointState(name=list(JOINTS), position=[*HOME[:2], 3.0, *HOME[3:]])
+    answer = arm.ros.call(GetMultiStateValidity, "/check_multi_state_validity", group_name="arm", joint_states=states)
+    assert not answer.valid
+
+
+def test_kinematics_of_other_links_and_frames_agree(arm: Stack, robot: Robot) -> None:
+    header = Header(frame_id="link_3")
+    answer = arm.ros.call(
+        GetPositionFK, "/compute_fk", header=header, fk_link_names=["link_5", "link_6"], robot_state=at(HOME)
+    )
+    assert answer.error_code.val == SUCCESS
+    wanted = PositionIKRequest(group_name="arm", robot_state=at([0.1, *HOME[1:]]), avoid_collisions=True)
+    wanted.ik_link_name, wanted.pose_stamped = "link_5", answer.pose_stamped[0]
+    wanted.pose_stamped.header.frame_id = "link_3"
+    found = arm.ros.call(GetPositionIK, "/compute_ik", ik_request=wanted)
+    assert found.error_code.val == SUCCESS, found.error_code
+    again = arm.ros.call(GetPositionFK, "/compute_fk", fk_link_names=["link_5"], robot_state=found.solution)
+    base = arm.ros.call(GetPositionFK, "/compute_fk", fk_link_names=["link_5"], robot_state=at(HOME))
+    p, q = again.pose_stamped[0].pose.position, base.pose_stamped[0].pose.position
+    assert np.allclose((p.x, p.y, p.z), (q.x, q.y, q.z), atol=2e-3)
+    nowhere = arm.ros.call(GetPositionFK, "/compute_fk", fk_link_names=["no_link"], robot_state=at(HOME))
+    assert nowhere.error_code.val == E.INVALID_LINK_NAME

@@ -9,7 +9,6 @@ from moveit_msgs.msg import PlannerInterfaceDescription, PlannerParams
 from moveit_msgs.srv import GetPlannerParams, QueryPlannerInterfaces, SetPlannerParams
 
 from zarm_contract.errors import InvalidRequest, ZarmError
-from zarm_contract.messages import PlannerSettings
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.ros import Ros
 
@@ -18,7 +17,15 @@ PIPELINES: Mapping[str, tuple[str, ...]] = {
     "pilz_industrial_motion_planner": ("PTP", "LIN", "CIRC", "POLYLINE"),
 }
 """The names of planners by pipeline. `free` and `PTP` go on any free path to the goal; the others along a line, an arc and a polyline."""
-_WRITABLE = ("timeout", "max_attempts", "optimize_s", "velocity_scale", "acceleration_scale", "margin")
+SETTINGS: Mapping[str, str] = {
+    "timeout": "Deadline of planning (s).",
+    "max_attempts": "Searches after which planning gives up.",
+    "optimize_s": "Time in which a plan is made faster, while no other request waits (s).",
+    "velocity_scale": "Share of the velocity limits.",
+    "acceleration_scale": "Share of the acceleration limits.",
+    "margin": "Distance kept to objects on the way (m).",
+}
+"""What `get_planner_params` reports and `set_planner_params` changes, for all pipelines and planners."""
 
 
 def along(pipeline: str, planner: str) -> str | None:
@@ -51,9 +58,9 @@ class Planners:
             self._log.warning(f"get_planner_params: {error}")
             return response
         response.params = PlannerParams(
-            keys=list(_WRITABLE),
-            values=[str(getattr(settings, name)) for name in _WRITABLE],
-            descriptions=[PlannerSettings.__name__] * len(_WRITABLE),
+            keys=list(SETTINGS),
+            values=[str(getattr(settings, name)) for name in SETTINGS],
+            descriptions=list(SETTINGS.values()),
         )
         return response
 
@@ -68,8 +75,8 @@ class Planners:
 def _changes(params: Any) -> dict[str, Any]:
     changes: dict[str, Any] = {}
     for name, value in zip(params.keys, params.values, strict=False):
-        if name not in _WRITABLE:
-            raise InvalidRequest(f"{name} is no parameter; choose among {', '.join(_WRITABLE)}", field="params.keys")
+        if name not in SETTINGS:
+            raise InvalidRequest(f"{name} is no parameter; choose among {', '.join(SETTINGS)}", field="params.keys")
         try:
             changes[name] = int(value) if name == "max_attempts" else float(value)
         except ValueError as error:

@@ -11,7 +11,7 @@ from moveit_msgs.msg import MoveItErrorCodes as Val
 
 from zarm_contract.errors import PlanningFailed, ZarmError
 from zarm_contract.messages import Goal, Move, Plan, PlanRequest, ProgramRequest, SpeedChange
-from zarm_ros_bridge.convert.fields import finite
+from zarm_ros_bridge.convert.fields import finite, in_terms_of
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
 from zarm_ros_bridge.moveit.constraint_set import ConstraintSet
@@ -28,6 +28,8 @@ _SLOWER = 0.95
 """Factor by which a motion that is too fast for a bound of a link's speed is slowed below that bound."""
 _SLOWEST = 0.01
 _ROUNDS = 4
+_FIELDS = {"goal": "goal_constraints", "start": "start_state", "path_constraint": "path_constraints"}
+"""Fields of a plan request, and their names in a motion plan request."""
 
 Ask = Callable[[PlanRequest | ProgramRequest], Plan]
 """Asks the planner."""
@@ -62,7 +64,15 @@ class MotionPlanRequests:
         self.group = group
 
     def plan(self, request: Any, ask: Ask) -> Plan:
-        """The plan for a `MotionPlanRequest`. Raises Refusal, and the planner's errors."""
+        """The plan for a `MotionPlanRequest`. Raises Refusal, and the planner's errors with the fields of the request."""
+        try:
+            return self._plan(request, ask)
+        except Refusal:
+            raise
+        except ZarmError as error:
+            raise in_terms_of(error, _FIELDS) from error
+
+    def _plan(self, request: Any, ask: Ask) -> Plan:
         self.check(request)
         start = start_of(request.start_state, self._frames, self._engine.joints, "start_state")
         scales = Scales.of(request)
