@@ -28,6 +28,7 @@ from zarm_contract.messages import (
     SceneRevision,
     driver,
     executor,
+    goals,
     motion,
     planner,
     program,
@@ -121,6 +122,7 @@ def messages() -> Iterator[str]:
     )
     modules: dict[str, ModuleType] = {
         "Planning": planner,
+        "Goals": goals,
         "Programs": program,
         "The scene": scene,
         "Execution": executor,
@@ -405,7 +407,8 @@ def python() -> Iterator[str]:
     """Everything that `import zarm` offers: functions, classes with their methods, values, messages and errors."""
     public = {name: getattr(zarm, name) for name in zarm.__all__}
     own = {name: one for name, one in public.items() if getattr(one, "__module__", "").partition(".")[0] == "zarm"}
-    values = {name: one for name, one in own.items() if one.__module__ == zarm.values.__name__}
+    modules = {module.__name__ for module in (zarm.values, zarm.motions, zarm.objects)}
+    values = {name: one for name, one in own.items() if one.__module__ in modules}
     yield from ("# Python", "", *_docstring(zarm), "## Functions", "")
     for name, function in own.items():
         if inspect.isfunction(function):

@@ -22,6 +22,23 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from zarm.connection import CONNECT_SECONDS, connected, robots
+from zarm.motions import (
+    AnyOf,
+    Arc,
+    Attach,
+    Detach,
+    Goal,
+    Line,
+    Move,
+    Offset,
+    Path,
+    PoseGoal,
+    SpeedChange,
+    TipFrame,
+    Wait,
+    Waypoints,
+)
+from zarm.objects import Capsule, Cuboid, Cylinder, Mesh, PointCloud, Sphere, Voxels
 from zarm.planner import PlanOptions
 from zarm.record_story import Story
 from zarm.replaying import replay, story
@@ -29,34 +46,7 @@ from zarm.robot import Robot
 from zarm.scene import Scene
 from zarm.servoing import Jogging, Tracking
 from zarm.streaming import Stream
-from zarm.values import (
-    AnyOf,
-    Arc,
-    Attach,
-    Axis,
-    Capsule,
-    Cuboid,
-    Cylinder,
-    Detach,
-    Goal,
-    Line,
-    Mesh,
-    Move,
-    Offset,
-    Path,
-    PathConstraint,
-    PointCloud,
-    Pose,
-    PoseGoal,
-    SpeedChange,
-    Sphere,
-    StartState,
-    TipFrame,
-    Trajectory,
-    Voxels,
-    Wait,
-    Waypoints,
-)
+from zarm.values import Axis, PathConstraint, Pose, StartState, Trajectory
 from zarm_contract.errors import (
     Busy,
     Cancelled,

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 
 from zarm.connection import ANSWER_SECONDS
 from zarm.kinematics import Kinematics
-from zarm.values import Goal, goal_of, joints_of, made
+from zarm.motions import Goal, goal_of
+from zarm.values import joints_of, made
 from zarm_contract.errors import Unavailable
 from zarm_contract.key import Query
 from zarm_contract.messages import (

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 from pydantic import TypeAdapter, ValidationError
 
 from zarm.connection import Connection
-from zarm.values import invalid, joints_of, numbers, object_of
+from zarm.objects import object_of
+from zarm.values import invalid, joints_of, numbers
 from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import (

@@ -7,8 +7,9 @@ from typing import Annotated, Literal
 
 import typer
 
+from zarm.motions import tolerance_of
 from zarm.robot import Robot
-from zarm.values import AXES, IDENTITY, tolerance_of
+from zarm.values import AXES, IDENTITY
 from zarm_cli.client import floats, joints
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import PoseTolerance

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from viser import Icon
 from viser.transforms import SE3, SO3
 
-from zarm.values import Goal as Target
+from zarm.motions import Goal as Target
 from zarm.values import invalid, pose_of
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Plan

@@ -18,7 +18,7 @@ from viser import (
 )
 from viser.transforms import SE3
 
-from zarm.values import Capsule, Cuboid, Cylinder, Sphere
+from zarm.objects import Capsule, Cuboid, Cylinder, Sphere
 from zarm_contract import messages
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Scene, SceneObject

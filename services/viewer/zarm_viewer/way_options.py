@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-from zarm.values import Goal as Target
-from zarm.values import Line, Path, Pose, PoseGoal, Waypoints
+from zarm.motions import Goal as Target
+from zarm.motions import Line, Path, PoseGoal, Waypoints
+from zarm.values import Pose
 from zarm_viewer.panel_context import PanelContext
 
 _QUICKEST, _STRAIGHT = "quickest", "straight lines"

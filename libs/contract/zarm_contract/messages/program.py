@@ -7,8 +7,9 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from zarm_contract._model import Message
+from zarm_contract.messages.goals import Blend, Goal
 from zarm_contract.messages.motion import Joints, Name, Scale
-from zarm_contract.messages.planner import Attempts, Blend, Goal, Margin, Timeout
+from zarm_contract.messages.planner import Attempts, Margin, Timeout
 
 
 class Move(Message):

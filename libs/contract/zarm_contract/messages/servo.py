@@ -9,8 +9,8 @@ from pydantic import Field
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
 from zarm_contract.messages.executor import Obstruction
+from zarm_contract.messages.goals import PoseTolerance
 from zarm_contract.messages.motion import Joints, Name, NonNegative, Quaternion, Scale, SequenceNumber, Vector3
-from zarm_contract.messages.planner import PoseTolerance
 from zarm_contract.messages.scene import SceneRevision
 
 Limiting = Literal["free", "slowing", "blocked", "singularity", "joint_limit", "target_stale"]
