@@ -102,6 +102,20 @@ def test_an_object_of_several_shapes_is_moved_as_one(arm: Stack, robot: Robot) -
     assert not robot.scene.objects()
 
 
+def test_edits_that_come_quickly_are_applied_in_their_order(arm: Stack, robot: Robot) -> None:
+    publisher = arm.ros.node.create_publisher(CollisionObject, "/collision_object", 100)
+    eventually(publisher.get_subscription_count, "the bridge listens")
+    box = shape(SolidPrimitive.BOX, 0.1, 0.1, 0.1)
+    for i in range(10):
+        publisher.publish(item(f"box{i}", at(0.9, 0.1 * i, 0.3), (box, at(0.0, 0.0, 0.0))))
+    for step in range(20):
+        publisher.publish(item("box3", at(0.9, 0.3, 0.3 + 0.01 * step), operation=CollisionObject.MOVE))
+    publisher.publish(item("box9", at(0.0, 0.0, 0.0), operation=CollisionObject.REMOVE))
+    eventually(lambda: len(robot.scene.objects()) == 9, "the last edit is applied")
+    assert robot.scene.objects()["box3"].position == pytest.approx((0.9, 0.3, 0.49))
+    arm.ros.node.destroy_publisher(publisher)
+
+
 def test_what_zarm_adds_is_in_the_planning_scene_and_changes_are_published(arm: Stack, robot: Robot) -> None:
     heard = arm.ros.heard(PlanningScene, "/monitored_planning_scene", QoSProfile(depth=10))
     robot.scene.add(zarm.Capsule("pipe", radius=0.05, length=0.4, position=(0.8, 0.5, 0.3)))

@@ -19,6 +19,7 @@ from moveit_msgs.msg import (
 from moveit_msgs.msg import MoveItErrorCodes as Val
 from moveit_msgs.srv import ApplyPlanningScene, GetPlanningScene, LoadGeometryFromFile, SaveGeometryToFile
 from numpy.typing import NDArray
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.qos import QoSProfile
 
 from zarm_contract.errors import InternalError, ZarmError
@@ -63,12 +64,13 @@ class PlanningScenes:
         ros.serve(ApplyPlanningScene, "apply_planning_scene", self._apply)
         ros.serve(SaveGeometryToFile, "save_geometry_to_file", self._save)
         ros.serve(LoadGeometryFromFile, "load_geometry_from_file", self._load)
+        in_order = MutuallyExclusiveCallbackGroup()
         for kind, topic, edit in (
             (CollisionObject, "collision_object", self._object),
             (AttachedCollisionObject, "attached_collision_object", self._attachment),
             (PlanningScene, "planning_scene", self._edit),
         ):
-            ros.node.create_subscription(kind, topic, self._listened(topic, edit), EDITS, callback_group=ros.group)
+            ros.node.create_subscription(kind, topic, self._listened(topic, edit), EDITS, callback_group=in_order)
 
     def __enter__(self) -> Self:
         self._thread.start()
