@@ -15,7 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
 
 from zarm_contract.codec import decode
-from zarm_contract.errors import Unavailable
+from zarm_contract.errors import ExecutionRefused, Unavailable
 from zarm_contract.messages import Attached, JointState, Pose, SceneObject
 from zarm_contract.messages import Sphere as Ball
 from zarm_geometry.frames import matrix, pose_of
@@ -33,6 +33,8 @@ PATIENCE = 0.5
 TF = QoSProfile(depth=100)
 TF_STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """The QoS of the topics, as in tf2."""
+OLD = 1.0
+"""Joints that are older (s) are not where the robot is now."""
 _POLL = 0.02
 _STATES = 5000  # most joint states in HISTORY
 
@@ -87,7 +89,7 @@ class Frames:
             time.sleep(_POLL)
 
     def joints(self) -> tuple[float, ...]:
-        """The positions of the joints (rad), as last measured. Raises Unavailable without any."""
+        """The positions of the joints (rad), as measured now. Raises Unavailable and ExecutionRefused where nothing is."""
         return self._history.at(0.0)
 
     def links_at(self, stamp: float = 0.0) -> dict[str, Array]:
@@ -160,6 +162,7 @@ class _JointHistory:
         self._turn = threading.Lock()
         self._payloads: deque[bytes] = deque(maxlen=_STATES)
         self._came = threading.Event()
+        self._received_at = 0.0
         self._begun = False
         self._engine = engine
 
@@ -171,12 +174,19 @@ class _JointHistory:
             self._engine.bus.listen(self._engine.keys.joint_states, self._receive)
 
     def at(self, stamp: float) -> tuple[float, ...]:
-        """The position of the joints at `stamp` (s; 0: now). Raises UnknownFrame, and Unavailable without any."""
+        """The position of the joints at `stamp` (s; 0: now). Raises UnknownFrame, Unavailable without any, and
+        ExecutionRefused where the last ones are old.
+        """
         self.begin()
         if not self._came.wait(PATIENCE):
             raise Unavailable("no joint state has come yet; start the executor and the driver")
         with self._turn:
-            payloads = list(self._payloads)
+            payloads, age = list(self._payloads), time.monotonic() - self._received_at
+        if not stamp and age > OLD:
+            raise ExecutionRefused(
+                f"the last joint state came {age:.1f} s ago; see whether the executor and the driver run",
+                code="no_joint_state",
+            )
         last = decode(JointState, payloads[-1])
         if not stamp or stamp >= last.stamp:
             return last.position
@@ -195,6 +205,7 @@ class _JointHistory:
     def _receive(self, _: str, payload: bytes) -> None:
         with self._turn:
             self._payloads.append(payload)
+            self._received_at = time.monotonic()
         self._came.set()
 
 

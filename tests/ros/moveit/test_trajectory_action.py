@@ -97,11 +97,12 @@ def test_a_goal_is_cancelled(arm: Stack, controller: ActionClient, robot: Robot)
         (goal((2.0, THERE[:5]), names=JOINTS[:5]), R.INVALID_JOINTS, "joint_6"),
         (goal((2.0, THERE), names=[*JOINTS[:5], "other"]), R.INVALID_JOINTS, "joint_6"),
         (goal((2.0, THERE), (1.0, HOME)), R.INVALID_GOAL, "time_from_start"),
+        (goal((0.0, THERE)), R.INVALID_GOAL, "only point"),
         (goal((2.0, [float("nan"), *HOME[1:]])), R.INVALID_GOAL, "finite"),
         (goal((0.05, THERE)), R.INVALID_GOAL, "limit"),
         (goal((2.0, [9.0, *HOME[1:]])), R.INVALID_GOAL, "joint_1"),
     ],
-    ids=["too few", "unknown", "backwards", "nan", "too fast", "out of range"],
+    ids=["too few", "unknown", "backwards", "at once", "nan", "too fast", "out of range"],
 )
 def test_what_the_robot_cannot_do_is_refused(
     arm: Stack, controller: ActionClient, robot: Robot, made: object, code: int, said: str

@@ -17,12 +17,15 @@ from zarm_ros_bridge.convert.times import NANOSECONDS
 Array = NDArray[np.float64]
 
 MOST_POINTS = 100_000
+_THERE = 0.01
+"""How far (rad) a joint may be from where a trajectory without duration has it."""
 
 
 def trajectory_of(
     message: Any, joints: Sequence[str], present: Callable[[], Positions], field: str
 ) -> Trajectory | None:
-    """The motion of a `trajectory_msgs/JointTrajectory`, of `joints` in this order; None if it ends where it begins, at time 0.
+    """The motion of a `trajectory_msgs/JointTrajectory`, of `joints` in this order; None if it has no duration, and the robot
+    is there.
 
     A first point later than 0 is reached from the `present` positions, at rest. Points without velocities are passed on a cubic
     spline that begins and ends at rest; points without accelerations have those of the cubics to both sides, on average. Raises
@@ -53,6 +56,13 @@ def trajectory_of(
             for rows in (velocity, acceleration)
         )
     if len(time) < 2:
+        off = np.abs(position[0] - present())
+        if off.max() > _THERE:
+            joint = joints[int(off.argmax())]
+            raise InvalidRequest(
+                f"the only point is at time 0, and {joint} is {off.max():.4f} rad from it; give it a time",
+                field=f"{field}.points",
+            )
         return None
     if velocity is None:
         velocity = _spline_velocities(time, position)
