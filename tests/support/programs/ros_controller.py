@@ -15,6 +15,7 @@ no fault. The speed is on /speed_scaling_state_broadcaster/speed_scaling.
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from typing import Any
 
@@ -44,6 +45,7 @@ class Controller(Node):
         self.scaling = self.create_publisher(Float64, "/speed_scaling_state_broadcaster/speed_scaling", 10)
         self.states = self.create_publisher(JointState, states_topic, 10)
         self.fault = ""
+        self.turn = threading.Lock()  # between the goals' threads and the one that plays
         self.goal: Any = None
         group = ReentrantCallbackGroup()
         self.create_subscription(JointTrajectory, command_topic, self.take, 10)
@@ -88,24 +90,24 @@ class Controller(Node):
         return result
 
     def take(self, message: JointTrajectory) -> None:
-        self.goal = None
-        self.played = 0.0
-        self.times = np.array([p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for p in message.points])
-        if self.times.size == 0:
-            self.velocity = np.zeros(len(self.names))
-            return
-        order = [list(message.joint_names).index(name) for name in self.names]
-        self.rows = np.array(
+        times = np.array([p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for p in message.points])
+        order = [list(message.joint_names).index(name) for name in self.names] if message.points else []
+        rows = np.array(
             [[np.array(row)[order] for row in (p.positions, p.velocities, p.accelerations)] for p in message.points]
         )
+        with self.turn:
+            self.goal, self.played, self.times, self.rows = None, 0.0, times, rows
+            if not times.size:
+                self.velocity = np.zeros(len(self.names))
 
     def tick(self) -> None:
-        if self.times.size:
-            scale = float(self.fault.removeprefix("slow ")) / 100 if self.fault.startswith("slow ") else 1.0
-            self.played += PERIOD * scale
-            self.position, self.velocity = self.at(self.played)
-            self.velocity = self.velocity * scale
-            self.scaling.publish(Float64(data=100 * scale))
+        scale = float(self.fault.removeprefix("slow ")) / 100 if self.fault.startswith("slow ") else 1.0
+        with self.turn:
+            if self.times.size:
+                self.played += PERIOD * scale
+                self.position, velocity = self.at(self.played)
+                self.velocity = velocity * scale
+        self.scaling.publish(Float64(data=100 * scale))
         state = JointState(name=self.names, position=self.position.tolist(), velocity=self.velocity.tolist())
         state.header.stamp = self.get_clock().now().to_msg()
         self.states.publish(state)

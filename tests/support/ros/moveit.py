@@ -107,7 +107,7 @@ def request(*goals: Any, **fields: Any) -> Any:
             "group_name": "arm",
             "goal_constraints": list(goals),
             "num_planning_attempts": 5,
-            "allowed_planning_time": 5.0,
+            "allowed_planning_time": 20.0,
             **fields,
         }
     )
