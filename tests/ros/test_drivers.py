@@ -64,11 +64,11 @@ FAULTS = f"{UR5E.descriptor.strategy_params.command_topic}/fault"
 
 
 @contextmanager
-def ur5e(endpoint: str, bus: Bus, folder: Path) -> Iterator[Client]:
+def ur5e(endpoint: str, bus: Bus, folder: Path, *options: str) -> Iterator[Client]:
     """A UR5e under ros2_control that is moved by whole trajectories."""
     keys = Keys("ur5e")
     with ExitStack() as stack:
-        stack.enter_context(controller(UR5E))
+        stack.enter_context(controller(UR5E, *options))
         bridge = stack.enter_context(ServiceProcess("ros_bridge", endpoint, folder, robot="ur5e"))
         bridge.wait_ready(bus, keys)
         robot = str(patient(folder / "patient", UR5E))
@@ -108,6 +108,22 @@ def test_what_a_controller_refuses_or_gives_up_ends_the_goal_with_its_reason(
         faulty(ros, "")
         last = client.execute(rest_to_rest(home, np.array(client.position()), robot=UR5E))
         assert client.ended(last).status == "succeeded"
+
+
+def test_a_controller_without_an_action_is_moved_and_stopped_through_its_topic(
+    apart: tuple[str, Bus], tmp_path: Path
+) -> None:
+    home = np.array(UR5E.descriptor.home)
+    there = home + (0.6, -0.3, 0.2, 0.0, 0.0, 0.4)
+    with ur5e(*apart, tmp_path, "--topic-alone") as client:
+        goal = client.execute(rest_to_rest(there, home, robot=UR5E))
+        assert client.ended(goal).status == "succeeded"
+        np.testing.assert_allclose(client.position(), there, atol=1e-3)
+        back = client.execute(rest_to_rest(home, there, robot=UR5E, slower=3.0))
+        client.under_way(back)
+        client.cancel(back)
+        assert client.ended(back).status == "cancelled"
+        eventually(client.stands, "the robot rests")
 
 
 def test_a_motion_waits_while_the_robot_is_paused_by_its_own_controls(

@@ -44,6 +44,10 @@ class ControllerAction:
         self._newest = self._waited_for = self._waits = 0
         self._handle: Any | None = None
 
+    def is_served(self) -> bool:
+        """Whether the controller's action is there."""
+        return bool(self._client.server_is_ready())
+
     def play(self, sequence: int, trajectory: Any) -> None:
         """Play this trajectory from now on, the command of this number."""
         self._run(partial(self._send, sequence, trajectory))

@@ -42,7 +42,8 @@ class Drivers:
 
     While a robot stands, joint states are forwarded at the rate of `Standing`.
 
-    Whole trajectories go to the controller's action, if it has one: `controller` is the participant for that.
+    Whole trajectories go to the controller's action, if it has one: `controller` is the participant for that. Where nobody serves the
+    action, but somebody listens to the topic, they go there.
 
     Unreadable driver messages are dropped; each kind of fault is logged once. The executor then hears nothing, and
     stops the robot. A driver may start late, leave, and return. DDS discovers each direction separately: joint states
@@ -93,10 +94,13 @@ class Drivers:
             self._progress.sent(command.sequence, len(command.time))
             if self._action is None or not self._whole:
                 self._commands.publish(message)
-            elif command.time:
+            elif not command.time:  # whatever it is that plays
+                self._action.stop(command.sequence)
+                self._commands.publish(message)
+            elif self._action.is_served() or not self._commands.get_subscription_count():
                 self._action.play(command.sequence, message)
             else:
-                self._action.stop(command.sequence)
+                self._commands.publish(message)
         self._hurry()
 
     def _on_state(self, _: str, state: ExecutorState) -> None:

@@ -1,6 +1,6 @@
 """A stand-in for a robot under ros2_control: JointTrajectoryController and joint_state_broadcaster, as one ROS node.
 
-    python ros_controller.py COMMAND_TOPIC JOINT_STATES_TOPIC JOINT=RAD ...
+    python ros_controller.py COMMAND_TOPIC JOINT_STATES_TOPIC JOINT=RAD ... [--topic-alone]
 
 It takes trajectories as the controller does, on the topic and by its action beside it, `.../follow_joint_trajectory`: by joint
 name, quintic between points that have velocities and accelerations, a new trajectory replaces the old one from the moment it
@@ -34,7 +34,7 @@ PERIOD = 0.01
 
 
 class Controller(Node):
-    def __init__(self, command_topic: str, states_topic: str, joints: dict[str, float]) -> None:
+    def __init__(self, command_topic: str, states_topic: str, joints: dict[str, float], *, action: bool) -> None:
         super().__init__("controller")
         self.names = sorted(joints)
         self.position = np.array([joints[name] for name in self.names])
@@ -51,15 +51,16 @@ class Controller(Node):
         self.create_subscription(JointTrajectory, command_topic, self.take, 10)
         self.create_subscription(String, f"{command_topic}/fault", self.take_fault, 10)
         self.create_timer(PERIOD, self.tick)
-        self.action = ActionServer(
-            self,
-            FollowJointTrajectory,
-            f"{command_topic.rpartition('/')[0]}/follow_joint_trajectory",
-            self.carry_out,
-            goal_callback=lambda _: GoalResponse.REJECT if self.fault == "inactive" else GoalResponse.ACCEPT,
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
-            callback_group=group,
-        )
+        if action:
+            self.action = ActionServer(
+                self,
+                FollowJointTrajectory,
+                f"{command_topic.rpartition('/')[0]}/follow_joint_trajectory",
+                self.carry_out,
+                goal_callback=lambda _: GoalResponse.REJECT if self.fault == "inactive" else GoalResponse.ACCEPT,
+                cancel_callback=lambda _: CancelResponse.ACCEPT,
+                callback_group=group,
+            )
 
     def take_fault(self, message: String) -> None:
         self.fault = message.data
@@ -130,9 +131,11 @@ class Controller(Node):
 
 
 def main() -> None:
-    command_topic, states_topic, *joints = sys.argv[1:]
+    command_topic, states_topic, *rest = sys.argv[1:]
+    joints = dict(word.split("=") for word in rest if "=" in word)
     rclpy.init()
-    node = Controller(command_topic, states_topic, {name: float(at) for name, at in (j.split("=") for j in joints)})
+    at = {name: float(value) for name, value in joints.items()}
+    node = Controller(command_topic, states_topic, at, action="--topic-alone" not in rest)
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     executor = MultiThreadedExecutor(4)

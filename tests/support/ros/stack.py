@@ -66,12 +66,14 @@ def stack(
 
 
 @contextmanager
-def controller(robot: RobotDescription) -> Iterator[subprocess.Popen[str]]:
-    """The stand-in for a robot under ros2_control, at home."""
+def controller(robot: RobotDescription, *options: str) -> Iterator[subprocess.Popen[str]]:
+    """The stand-in for a robot under ros2_control, at home; `--topic-alone` leaves its action out."""
     descriptor, params = robot.descriptor, robot.descriptor.strategy_params
     joints = [f"{name}={at}" for name, at in zip(descriptor.joints, descriptor.home, strict=True)]
     command = [sys.executable, str(PROGRAMS / "ros_controller.py"), params.command_topic]
-    process = subprocess.Popen([*command, params.joint_states_topic, *joints], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [*command, params.joint_states_topic, *joints, *options], stdout=subprocess.PIPE, text=True
+    )
     try:
         assert process.stdout.readline() == "ready\n"
         yield process
