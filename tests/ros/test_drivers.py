@@ -76,6 +76,8 @@ def ur5e(endpoint: str, bus: Bus, folder: Path, *options: str) -> Iterator[Clien
             "executor", endpoint, folder, robot=robot, arguments=("--strategy", "joint_trajectory")
         )
         stack.enter_context(executor).wait_ready(bus, keys)
+        if not options:
+            eventually(lambda: "a controller has come" in bridge.output(), "the bridge knows the action")
         yield Client(bus, keys)
 
 
@@ -146,18 +148,8 @@ def test_a_motion_waits_while_the_robot_is_paused_by_its_own_controls(
 
 @pytest.mark.slow  # as the M1013 is, in test_driven_path.py
 def test_a_ur5e_is_moved_through_the_action_of_its_controller(apart: tuple[str, Bus], tmp_path: Path) -> None:
-    endpoint, bus = apart
-    keys, there = Keys("ur5e"), np.array(UR5E.descriptor.home) + (0.6, -0.3, 0.2, 0.0, 0.0, 0.4)
-    with ExitStack() as stack:
-        stack.enter_context(controller(UR5E))
-        bridge = stack.enter_context(ServiceProcess("ros_bridge", endpoint, tmp_path, robot="ur5e"))
-        bridge.wait_ready(bus, keys)
-        robot = str(patient(tmp_path / "patient", UR5E))
-        executor = ServiceProcess(
-            "executor", endpoint, tmp_path, robot=robot, arguments=("--strategy", "joint_trajectory")
-        )
-        stack.enter_context(executor).wait_ready(bus, keys)
-        client = Client(bus, keys)
+    there = np.array(UR5E.descriptor.home) + (0.6, -0.3, 0.2, 0.0, 0.0, 0.4)
+    with ur5e(*apart, tmp_path) as client:
         goal = client.execute(rest_to_rest(there, np.array(UR5E.descriptor.home), robot=UR5E))
         assert client.ended(goal).status == "succeeded"
         np.testing.assert_allclose(client.position(), there, atol=1e-3)

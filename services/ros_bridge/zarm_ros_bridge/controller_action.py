@@ -19,6 +19,7 @@ log = logging.getLogger(__name__)
 
 _DISCOVERY, _AGAIN = 0.8, 0.05
 """How long (s) a controller may stay undiscovered, which is less than a robot may stand still; and how often that is looked at."""
+_LOOK = 0.5  # s
 _Result = FollowJointTrajectory.Result
 _NAMES = {
     _Result.INVALID_GOAL: "INVALID_GOAL",
@@ -41,8 +42,16 @@ class ControllerAction:
         self._give_up = give_up
         self._client = ActionClient(ros.node, FollowJointTrajectory, name, callback_group=ros.group)
         self._run = ros.run
+        self._served = False
+        ros.node.create_timer(_LOOK, self._look, callback_group=ros.group)
         self._newest = self._waited_for = self._waits = 0
         self._handle: Any | None = None
+
+    def _look(self) -> None:
+        """Log when the controller comes and goes."""
+        if (served := self.is_served()) != self._served:
+            self._served = served
+            log.info("a controller has %s action=%s", "come" if served else "gone", self._name)
 
     def is_served(self) -> bool:
         """Whether the controller's action is there."""
