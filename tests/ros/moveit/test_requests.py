@@ -250,6 +250,28 @@ def test_path_constraints_hold_on_the_whole_way(arm: Stack, robot: Robot) -> Non
     assert goal.error_code.val == E.GOAL_VIOLATES_PATH_CONSTRAINTS
 
 
+def test_a_goal_with_freedom_is_reached_within_the_path_constraints(arm: Stack, robot: Robot) -> None:
+    start = end_of(planned(arm.ros, request(pose(AT))))
+    upright = Constraints(orientation_constraints=[orientation(DOWN, tolerance=(0.1, 0.1, 3.15))])
+    to = Constraints(position_constraints=[position((AT[0] - 0.1, AT[1] - 0.5, AT[2]))])
+    response = planned(arm.ros, request(to, start_state=at(start), path_constraints=upright))
+    assert response.error_code.val == SUCCESS, response.error_code
+    for tip in robot.fk([list(one.positions) for one in response.trajectory.joint_trajectory.points]):
+        assert np.all(angles_off(DOWN, tip.orientation, rotation_vector=False)[:2] <= 0.1 + 1e-6)
+
+
+def test_path_constraints_are_nowhere_passed_over(arm: Stack, robot: Robot) -> None:
+    start = end_of(planned(arm.ros, request(pose(AT))))
+    to = (AT[0], AT[1] - 0.2, AT[2])
+    turned = (Rotation.from_quat(DOWN) * Rotation.from_euler("x", 0.6)).as_quat()
+    upright = Constraints(orientation_constraints=[orientation(DOWN, tolerance=(0.1, 0.1, 3.15))])
+    line = request(pose(to, turned), planner_id="LIN", start_state=at(start), path_constraints=upright)
+    assert planned(arm.ros, line).error_code.val == E.PLANNING_FAILED
+    items = [MotionSequenceItem(req=request(pose(AT), path_constraints=upright))]
+    answer = arm.ros.call(GetMotionSequence, "/plan_sequence_path", request=MotionSequenceRequest(items=items))
+    assert answer.response.error_code.val == E.INVALID_MOTION_PLAN
+
+
 def test_a_cartesian_path_ends_where_it_cannot_be_followed(arm: Stack, robot: Robot) -> None:
     start = end_of(planned(arm.ros, request(pose(AT))))
     waypoints = [

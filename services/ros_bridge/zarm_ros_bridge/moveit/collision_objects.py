@@ -37,6 +37,7 @@ from zarm_geometry.frames import matrix, pose_of, rotation_to
 from zarm_ros_bridge.convert.fields import finite
 from zarm_ros_bridge.convert.poses import pose_of as ros_pose_of
 from zarm_ros_bridge.convert.poses import ros_pose
+from zarm_ros_bridge.frames import placed
 from zarm_ros_bridge.moveit.error_codes import Refusal
 
 Array = NDArray[np.float64]
@@ -76,47 +77,38 @@ def parts_of(message: Any, name: str, frame: Array | None, field: str) -> tuple[
 
     Raises Refusal.
     """
-    origin = _origin(message, frame, field)
-    placed: list[tuple[_Shape, Array]] = []
+    origin = origin_of(message, frame, field)
+    shapes: list[tuple[_Shape, Array]] = []
     for i, shape in enumerate(message.primitives):
         made = _solid(shape, f"{field}.primitives[{i}]")
-        placed.append((made, _pose(message.primitive_poses, i, f"{field}.primitive_poses")))
+        shapes.append((made, _pose(message.primitive_poses, i, f"{field}.primitive_poses")))
     for i, plane in enumerate(message.planes):
         slab, offset = _plane(plane, f"{field}.planes[{i}]")
-        placed.append((slab, _pose(message.plane_poses, i, f"{field}.plane_poses") @ offset))
+        shapes.append((slab, _pose(message.plane_poses, i, f"{field}.plane_poses") @ offset))
     for i, mesh in enumerate(message.meshes):
         made = _triangles(mesh, f"{field}.meshes[{i}]")
-        placed.append((made, _pose(message.mesh_poses, i, f"{field}.mesh_poses")))
-    if not placed:
+        shapes.append((made, _pose(message.mesh_poses, i, f"{field}.mesh_poses")))
+    if not shapes:
         raise Refusal(Val.INVALID_OBJECT_NAME, "the object has no shape; give it a primitive", f"{field}.primitives")
-    several = len(placed) > 1
+    several = len(shapes) > 1
     return tuple(
-        _named(shape, f"{name}..{i}" if several else name, origin @ own) for i, (shape, own) in enumerate(placed)
+        _named(shape, f"{name}..{i}" if several else name, origin @ own) for i, (shape, own) in enumerate(shapes)
     )
 
 
-def _origin(message: Any, frame: Array | None, field: str) -> Array:
+def origin_of(message: Any, frame: Array | None, field: str) -> Array:
+    """The pose (4, 4) of a collision object in the base frame. Raises InvalidRequest."""
     pose = ros_pose_of(message.pose, f"{field}.pose")
     own = matrix(pose.position, pose.orientation)
     return own if frame is None else frame @ own
 
 
-def origin_of(message: Any, frame: Array | None, field: str) -> Array:
-    """The pose (4, 4) of a collision object in the base frame. Raises InvalidRequest."""
-    return _origin(message, frame, field)
-
-
 def moved(part: SceneObject, by: Array) -> SceneObject:
     """The same object where `by` (4, 4), in the base frame, moves it."""
-    pose = pose_of(by @ placement(part))
+    pose = pose_of(by @ placed(part))
     if isinstance(part, Sphere):
         return part.model_copy(update={"position": pose.position})
     return part.model_copy(update={"position": pose.position, "orientation": pose.orientation})
-
-
-def placement(part: SceneObject) -> Array:
-    """The pose (4, 4) of an object."""
-    return matrix(part.position) if isinstance(part, Sphere) else matrix(part.position, part.orientation)
 
 
 def collision_object(identity: str, parts: Sequence[SceneObject], origin: Array, frame: str) -> Any:
@@ -127,10 +119,10 @@ def collision_object(identity: str, parts: Sequence[SceneObject], origin: Array,
     for part in parts:
         if isinstance(part, Mesh) and part.data is not None:
             message.meshes.append(_ros_mesh(part))
-            message.mesh_poses.append(ros_pose(pose_of(into @ placement(part))))
+            message.mesh_poses.append(ros_pose(pose_of(into @ placed(part))))
         for kind, sizes, offset in _solids(part):
             message.primitives.append(SolidPrimitive(type=kind, dimensions=sizes))
-            message.primitive_poses.append(ros_pose(pose_of(into @ placement(part) @ offset)))
+            message.primitive_poses.append(ros_pose(pose_of(into @ placed(part) @ offset)))
     return message
 
 

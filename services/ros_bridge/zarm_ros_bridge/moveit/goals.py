@@ -23,6 +23,7 @@ EXACT_DISTANCE, EXACT_ANGLE = 0.002, 0.01
 """Tolerances (m, rad) up to which a goal is planned for exactly: they stand for "here", and an exact pose is found sooner."""
 _FARTHEST = 100.0  # m, the largest bound of a distance
 _COMPONENT, _PRODUCT = 0.7, 0.6
+"""Share of an Euler angle's tolerance for the component of the rotation vector; and how much of it the product of the two others takes."""
 _MOST = 64  # poses of one goal
 _TILTED = math.radians(60.0)
 """How far (rad) a free turn about y goes to each side."""
@@ -158,8 +159,7 @@ def _position(region: PointRegion, turned: Array) -> tuple[Bounds, float | None,
 def _turns(orientation: Orientation) -> tuple[list[Array], Bounds]:
     """Rotations (3, 3) of the link, and bounds of the rotation vector from each of them inside which the constraint holds.
 
-    Where one axis is free, a tilt may lie between
-    the other two, and each has its share of that. Euler angles of which two are free are no such region: rotations about the
+    Where one axis is free, a tilt may lie between the other two, and each has its share of that. Euler angles of which two are free are no such region: rotations about the
     two stand for it, and so do those about y where it alone is free, up to _TILTED, before its axes x and z become one.
     """
     tolerance, asked = orientation.tolerance, orientation.rotation

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from moveit_msgs.msg import MoveItErrorCodes as Val
 
-from zarm_contract.errors import PlanningFailed
+from zarm_contract.errors import InvalidRequest, PlanningFailed
 from zarm_contract.messages import PathConstraint, Plan, PlanRequest
-from zarm_contract.robot import RobotDescription
+from zarm_ros_bridge.link_frames import LinkFrames
 from zarm_ros_bridge.moveit.constraint_set import FREE, ConstraintSet, deviation
 from zarm_ros_bridge.moveit.error_codes import Refusal
 from zarm_ros_bridge.moveit.states import Positions
@@ -27,11 +27,11 @@ def constrained_plan(
     request: PlanRequest,
     constraints: ConstraintSet,
     start: Positions,
-    robot: RobotDescription,
-    links: Callable[[Positions], dict[str, Any]],
+    tip: str,
+    links: LinkFrames,
     request_plan: Callable[[PlanRequest], Plan],
 ) -> Plan:
-    """A plan whose every sample keeps the constraints; `links` are the poses of the robot's links at joints.
+    """A plan whose every sample keeps the constraints; `tip` is the tip link of the robot with these `links`.
 
     Most motions keep them anyway. Otherwise the components that they bound are held as at the start, which is more than they
     ask. Raises Refusal, and what `request_plan` raises.
@@ -45,12 +45,15 @@ def constrained_plan(
     plan = request_plan(request)
     if kept(plan, constraints):
         return plan
-    if not constraints.holds(plan.trajectory.position[-1]):
+    end = plan.trajectory.position[-1]
+    try:  # also to a goal that this motion did not keep them at: one with freedom may be reached in another way
+        plan = request_plan(request.model_copy(update={"path_constraint": _held(constraints, start, tip, links)}))
+    except (InvalidRequest, PlanningFailed) as error:
+        if constraints.holds(end):
+            raise
         raise Refusal(
             Val.GOAL_VIOLATES_PATH_CONSTRAINTS, "the goal is outside the path constraints", "path_constraints"
-        )
-    held = _held(constraints, start, robot, links)
-    plan = request_plan(request.model_copy(update={"path_constraint": held}))
+        ) from error
     if kept(plan, constraints):
         return plan
     raise PlanningFailed("no motion was found that keeps the path constraints; widen them", field="path_constraints")
@@ -61,17 +64,11 @@ def kept(plan: Plan, constraints: ConstraintSet) -> bool:
     return all(map(constraints.holds, plan.trajectory.position))
 
 
-def _held(
-    constraints: ConstraintSet,
-    start: Positions,
-    robot: RobotDescription,
-    links: Callable[[Positions], dict[str, Any]],
-) -> PathConstraint:
+def _held(constraints: ConstraintSet, start: Positions, tip: str, links: LinkFrames) -> PathConstraint:
     """What of the tip's pose at the start is to stay, for the constraints to be kept."""
-    tip = robot.descriptor.tip_link
-    at = links(start)
+    at = links.poses(start)
     held = {one.link for one in constraints.positions} | {one.link for one in constraints.orientations}
-    turns = {link: _axes_of(at[tip], at[link]) for link in held if _moves_with(link, tip, robot)}
+    turns = {link: _axes_of(at[tip], at[link]) for link in held if links.rigid(link) == links.rigid(tip)}
     if constraints.joints or any(turns.get(link) is None for link in held):
         raise PlanningFailed(
             f"the motion found breaks the path constraints, and only those of {tip}, or of a link that is fixed to it along the "
@@ -86,17 +83,6 @@ def _held(
     if constraints.orientations:
         return _turning(constraints, at, turns)
     return _moving(constraints, at)
-
-
-def _moves_with(link: str, tip: str, robot: RobotDescription) -> bool:
-    """Whether a link is fixed to the tip."""
-
-    def body(name: str) -> str:
-        while (joint := robot.urdf.joint_of_child.get(name)) is not None and joint.type == "fixed":
-            name = joint.parent
-        return name
-
-    return body(link) == body(tip)
 
 
 def _axes_of(tip: Any, link: Any) -> tuple[int, ...] | None:

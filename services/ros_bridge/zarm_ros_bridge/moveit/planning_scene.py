@@ -23,7 +23,8 @@ from zarm_contract.messages import Scene, SceneObject
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.frames import matrix
 from zarm_ros_bridge.convert.colours import Colour
-from zarm_ros_bridge.moveit.collision_objects import collision_object, id_of, placement
+from zarm_ros_bridge.frames import placed
+from zarm_ros_bridge.moveit.collision_objects import collision_object, id_of
 from zarm_ros_bridge.moveit.states import Positions, robot_state
 
 Array = NDArray[np.float64]
@@ -100,7 +101,7 @@ class PlanningSceneMessages:
         base = self._robot.descriptor.base_link
         origin = self._origins.get(identity)
         if origin is None:
-            origin = placement(parts[0]) if len(parts) == 1 else np.eye(4)
+            origin = placed(parts[0]) if len(parts) == 1 else np.eye(4)
         return collision_object(identity, parts if geometry else [], origin, base)
 
     def _attached(self, scene: Scene) -> list[Any]:
@@ -111,7 +112,7 @@ class PlanningSceneMessages:
             AttachedCollisionObject(
                 link_name=tip,
                 object=collision_object(
-                    identity, parts, placement(parts[0]) if len(parts) == 1 else matrix((0.0, 0.0, 0.0)), tip
+                    identity, parts, placed(parts[0]) if len(parts) == 1 else matrix((0.0, 0.0, 0.0)), tip
                 ),
                 touch_links=list(touch[identity]),
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,7 @@ from zarm_ros_bridge.moveit.constraint_set import ConstraintSet
 from zarm_ros_bridge.moveit.curves import Curves, Speeds
 from zarm_ros_bridge.moveit.error_codes import Refusal
 from zarm_ros_bridge.moveit.goals import goals_of
-from zarm_ros_bridge.moveit.path_constraints import constrained_plan
+from zarm_ros_bridge.moveit.path_constraints import constrained_plan, kept
 from zarm_ros_bridge.moveit.planners import along
 from zarm_ros_bridge.moveit.states import Positions, start_of
 
@@ -86,11 +87,11 @@ class MotionPlanRequests:
         begin = start or self._frames.joints()
         if curve is not None:
             goal = self._curves.goal(curve, request, begin, self._speeds(request, scales))
-            return ask(PlanRequest(goal=goal, **options))
-        kept = ConstraintSet(request.path_constraints, self._engine, self._frames, "path_constraints")
+            return self._followed(curve, request, begin, ask(PlanRequest(goal=goal, **options)))
+        constraints = self._along_way(None, request)
         return self._first(
             self._goals(request, begin),
-            lambda goal: self._kept(PlanRequest(goal=goal, **options), request, kept, begin, ask),
+            lambda goal: self._kept(PlanRequest(goal=goal, **options), request, constraints, begin, ask),
         )
 
     def plan_sequence(self, items: Sequence[Any], ask: Ask) -> Plan:
@@ -142,13 +143,11 @@ class MotionPlanRequests:
             )
         scales = Scales.of(request)
         curve = along(request.pipeline_id, request.planner_id)
+        if self._along_way(curve, request):
+            raise Refusal(Val.INVALID_MOTION_PLAN, "path constraints are not kept in a sequence", "path_constraints")
         if curve is not None:
             goal: Goal = self._curves.goal(curve, request, begin, self._speeds(request, scales))
         else:
-            if request.path_constraints.joint_constraints or request.path_constraints.position_constraints:
-                raise Refusal(
-                    Val.INVALID_MOTION_PLAN, "path constraints are not kept in a sequence", "path_constraints"
-                )
             goals = self._goals(request, begin)
             if len(goals) > 1:
                 raise Refusal(
@@ -158,6 +157,26 @@ class MotionPlanRequests:
                 )
             (goal,) = goals
         return Move(kind="move", goal=goal, blend=radius if self._blends(i, items) else 0.0), scales
+
+    def _along_way(self, curve: str | None, request: Any) -> ConstraintSet:
+        """The path constraints of a request; positions for CIRC and POLYLINE are points of the curve, and none."""
+        constraints = copy(request.path_constraints)
+        if curve in ("CIRC", "POLYLINE"):
+            constraints.position_constraints = []
+        return ConstraintSet(constraints, self._engine, self._frames, "path_constraints")
+
+    def _followed(self, curve: str, request: Any, begin: Positions, plan: Plan) -> Plan:
+        """The plan along a curve, if it keeps the path constraints. Raises Refusal, or PlanningFailed."""
+        constraints = self._along_way(curve, request)
+        if not constraints or kept(plan, constraints):
+            return plan
+        if not constraints.holds(begin):
+            raise Refusal(
+                Val.START_STATE_VIOLATES_PATH_CONSTRAINTS,
+                "the start is outside the path constraints; move the robot inside first, or widen them",
+                "path_constraints",
+            )
+        raise PlanningFailed("the curve leaves the path constraints; widen them", field="path_constraints")
 
     def _blends(self, i: int, items: Sequence[Any]) -> bool:
         """Whether an item is blended into the next: both are lines, moved along in the same way."""
@@ -204,7 +223,9 @@ class MotionPlanRequests:
         def plan(wanted: PlanRequest) -> Plan:
             if not constraints:
                 return ask(wanted)
-            return constrained_plan(wanted, constraints, begin, self._engine.robot, self._frames.links.poses, ask)
+            return constrained_plan(
+                wanted, constraints, begin, self._engine.robot.descriptor.tip_link, self._frames.links, ask
+            )
 
         most = finite(request.max_cartesian_speed, "max_cartesian_speed")
         made = plan(asked)

@@ -27,9 +27,9 @@ from zarm_contract.messages import Scene, SceneObject
 from zarm_ros_bridge.convert.colours import Colour
 from zarm_ros_bridge.convert.joints import known_as
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.frames import Frames
+from zarm_ros_bridge.frames import Frames, placed
 from zarm_ros_bridge.moveit.allowances import Allowances
-from zarm_ros_bridge.moveit.collision_objects import id_of, moved, name_of, origin_of, parts_of, placement
+from zarm_ros_bridge.moveit.collision_objects import id_of, moved, name_of, origin_of, parts_of
 from zarm_ros_bridge.moveit.error_codes import Refusal
 from zarm_ros_bridge.moveit.planning_scene import ALL, PlanningSceneMessages, grouped
 from zarm_ros_bridge.moveit.scene_text import objects_of, text_of
@@ -205,7 +205,7 @@ class PlanningScenes:
         if message.operation == CollisionObject.MOVE:
             if not known:
                 raise Refusal(Val.INVALID_OBJECT_NAME, f"there is no object {message.id!r} to move", "id")
-            before = self._origins.get(name, placement(known[0]))
+            before = self._origins.get(name, placed(known[0]))
             now = origin_of(message, frame, "collision_object")
             scene.add(*(moved(part, now @ np.linalg.inv(before)) for part in known), replace=True)
             self._origins[name] = now
