@@ -20,6 +20,7 @@ import zarm
 from zarm_cli.commands import command_line
 from zarm_contract import messages as every_message
 from zarm_contract.errors import MEANINGS, Problem, ZarmError
+from zarm_contract.gripper import Gripper
 from zarm_contract.key import Key, Token
 from zarm_contract.keys import declared
 from zarm_contract.messages import (
@@ -29,6 +30,7 @@ from zarm_contract.messages import (
     driver,
     executor,
     goals,
+    gripper,
     motion,
     planner,
     program,
@@ -126,6 +128,7 @@ def messages() -> Iterator[str]:
         "Programs": program,
         "The scene": scene,
         "Execution": executor,
+        "Grippers": gripper,
         "The servo": servo,
         "Drivers": driver,
         "Trajectories, joints and poses": motion,
@@ -171,6 +174,7 @@ _SECTIONS = {
     "ToolSpeeds": "tool",
     "ExecutionSettings": "execution",
     "StrategyParams": "strategy_params",
+    "Gripper": "gripper",
     "CollisionSphere": "collision sphere",
     "CollisionCapsule": "collision capsule",
     "CollisionCylinder": "collision cylinder",
@@ -200,7 +204,8 @@ def _type(field: dict[str, Any]) -> str:
         case "array":
             return _array(field)
         case "object":
-            return f"a mapping of links to: {_type(field['additionalProperties'])}"
+            names = next(iter(field.get("patternProperties", {}).values()), None)
+            return f"a mapping of {'links' if names is None else 'names'} to: {_type(names or field['additionalProperties'])}"
         case "string":
             return _PATTERNS.get(field.get("pattern", ""), "text")
         case kind:
@@ -358,6 +363,7 @@ def robot() -> Iterator[str]:
         CollisionCapsule,
         CollisionCylinder,
         CollisionCuboid,
+        Gripper,
     )
     for model in (RobotDescriptor, *parts):
         if model is not RobotDescriptor:

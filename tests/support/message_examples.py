@@ -113,6 +113,7 @@ _PROGRAM = m.ProgramRequest(
     seed=7,
     publish=False,
     partial=True,
+    openings=(m.GripperOpening(gripper="hand", width=0.04),),
 )
 _PLANNED_SEGMENT = m.PlannedSegment(action="move", name="pick", begin=0.0, end=1.25)
 _ALONG_CURVE = {
@@ -234,6 +235,7 @@ EXAMPLES: tuple[Message, ...] = (
         self_margin=0.01,
         seed=7,
         publish=False,
+        openings=(m.GripperOpening(gripper="hand", width=0.04),),
     ),
     _START_STATE,
     m.PlanRequest(goal=_JOINT_GOAL),
@@ -252,6 +254,7 @@ EXAMPLES: tuple[Message, ...] = (
         tool=_TOOL_MOTION,
         segments=(_PLANNED_SEGMENT,),
         touches=(_TOUCH,),
+        openings=(m.GripperOpening(gripper="hand", width=0.04),),
         problem=_PROBLEM,
         goal_deviation=(0.0, 0.0, 1.5, 0.0, 0.0, -0.01),
         selected_goal_index=1,
@@ -347,9 +350,16 @@ EXAMPLES: tuple[Message, ...] = (
         replan=True,
         tip=_POSE,
         touches=(_TOUCH,),
+        openings=(m.GripperOpening(gripper="hand", width=0.04),),
     ),
     m.ReplaceTrajectory(
-        goal_id="goal-1", number=3, at=0.8, trajectory=_TRAJECTORY, scene_revision=_REVISION, until=3.0
+        goal_id="goal-1",
+        number=3,
+        at=0.8,
+        trajectory=_TRAJECTORY,
+        scene_revision=_REVISION,
+        until=3.0,
+        openings=(m.GripperOpening(gripper="hand", width=0.04),),
     ),
     _HOLD,
     m.Hold(reason="no_guard"),
@@ -429,6 +439,24 @@ EXAMPLES: tuple[Message, ...] = (
     ),
     m.DriverCommand(sequence=9, joint_names=("elbow", "shoulder")),
     m.DriverSpeed(scale=0.4),
+    m.GripperRequest(gripper="hand", width=0.04, force=20.0, speed=0.05, preempt=True, goal_id="grip-1"),
+    m.GripperRequest(position=0.02),
+    m.GripperCancel(gripper="hand"),
+    m.GripperOpening(gripper="hand", width=0.04),
+    m.GripperState(
+        gripper="hand",
+        status="aborted",
+        widths=(0.0, 0.08),
+        width=0.03,
+        position=0.015,
+        goal_id="grip-1",
+        target=0.0,
+        problem=_PROBLEM,
+    ),
+    m.DriverGripperCommand(gripper="hand", sequence=7, position=0.02, speed=0.05, force=20.0),
+    m.DriverGripperState(
+        gripper="hand", position=0.02, sequence=7, reached=True, stalled=True, problem="the gripper has no power"
+    ),
     m.DriverProgress(sequence=7, fraction=0.5, problem="the controller is inactive"),
     m.DriverFault(stall=True, drop=0.5, delay=0.2, silent=True, die=True, jump=(0.1, -0.2)),
     # every service

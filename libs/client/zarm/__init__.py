@@ -22,6 +22,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from zarm.connection import CONNECT_SECONDS, connected, robots
+from zarm.gripper import Gripper
 from zarm.motions import (
     AnyOf,
     Arc,
@@ -64,6 +65,7 @@ from zarm_contract.messages import (
     CheckResult,
     ExecutorState,
     GoalState,
+    GripperState,
     Health,
     JointState,
     Plan,
@@ -96,6 +98,8 @@ __all__ = [
     "ExecutorState",
     "Goal",
     "GoalState",
+    "Gripper",
+    "GripperState",
     "Health",
     "InternalError",
     "InvalidRequest",

@@ -21,6 +21,7 @@ from dataclasses import replace
 from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
 
 import zarm.connection
+import zarm.gripper
 import zarm.replaying
 import zarm.robot
 import zarm.scene
@@ -31,7 +32,7 @@ from zarm.record_story import Story
 from zarm_contract.messages import ExecuteRequest, GoalState, Plan, Trajectory
 from zarm_contract.roles import Role
 
-__all__ = ["Robot", "Scene", "connect", "replay", "robots", "story"]
+__all__ = ["Gripper", "Robot", "Scene", "connect", "replay", "robots", "story"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -166,12 +167,27 @@ class Scene(_Twin[zarm.scene.Scene]):
     apply = _awaited(zarm.scene.Scene.apply)
 
 
+class Gripper(_Twin[zarm.gripper.Gripper]):
+    """See `zarm.Gripper`."""
+
+    def __init__(self, connection: Connection) -> None:
+        super().__init__(zarm.gripper.Gripper, connection)
+
+    open = _awaited(zarm.gripper.Gripper.open)
+    close = _awaited(zarm.gripper.Gripper.close)
+    move = _awaited(zarm.gripper.Gripper.move)
+    cancel = _awaited(zarm.gripper.Gripper.cancel)
+    state = _awaited(zarm.gripper.Gripper.state)
+    states = _iterated(zarm.gripper.Gripper.states)
+
+
 class Robot(_Twin[zarm.robot.Robot]):
     """See `zarm.Robot`."""
 
     def __init__(self, connection: Connection) -> None:
         super().__init__(zarm.robot.Robot, connection)
         self.scene = Scene(connection)
+        self.gripper = Gripper(connection)
 
     @property
     def name(self) -> str:

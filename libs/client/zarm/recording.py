@@ -47,9 +47,8 @@ class Recorder:
         self._thread.start()
         self._listening: list[Callable[[], None]] = []
         try:
-            recorded = Recorded(connection.keys)
-            for key in recorded.keys:
-                listen = connection.bus.follow if key in recorded.present else connection.bus.listen
+            for key in Recorded(connection.keys).keys.values():
+                listen = connection.bus.follow if key.recorded == "value and changes" else connection.bus.listen
                 self._listening.append(listen(key, self._put))
         except BaseException:
             self.close()

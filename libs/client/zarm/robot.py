@@ -1,4 +1,4 @@
-"""One robot: its planner, executor, servo and scene, and the short form of each of their methods."""
+"""One robot: its planner, executor, servo, scene and grippers, and the short form of each of their methods."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
 from zarm.calls import Calls
 from zarm.connection import ANSWER_SECONDS, Connection
 from zarm.executor import Executor
+from zarm.gripper import Gripper
 from zarm.planner import Planner
 from zarm.scene import Scene
 from zarm.servo import Servo
@@ -49,7 +50,7 @@ def _servo(robot: Robot) -> Servo:
 class Robot(Calls):
     """One robot on the bus; `zarm.connect` makes it.
 
-    `planner`, `executor`, `servo` and `scene` have the calls of each service; `robot.plan` is short for
+    `planner`, `executor`, `servo`, `scene` and `gripper` have the calls of each part; `robot.plan` is short for
     `robot.planner.plan`, and so on. Joint vectors follow the order of `joints` in the robot's descriptor. Poses are those
     of its tip in its base frame. Every method raises a `zarm.Error`: the problem that the service answers, or Unavailable
     if none answers. Thread-safe; Ctrl-C interrupts only the main thread.
@@ -60,6 +61,7 @@ class Robot(Calls):
         self.planner = Planner(connection)
         self.executor = Executor(connection)
         self.servo = Servo(connection)
+        self.gripper = Gripper(connection)
         self.scene = Scene(connection)
 
     plan = _short(_planner, Planner.plan)

@@ -18,6 +18,8 @@ from zarm_contract.messages import (
     CheckResults,
     DriverCommand,
     DriverFault,
+    DriverGripperCommand,
+    DriverGripperState,
     DriverProgress,
     DriverSpeed,
     ExecuteRequest,
@@ -26,6 +28,9 @@ from zarm_contract.messages import (
     FkRequest,
     GoalState,
     GoalTrajectory,
+    GripperCancel,
+    GripperRequest,
+    GripperState,
     Health,
     IkRequest,
     IkSolutions,
@@ -259,6 +264,27 @@ class Keys:
         recorded="value and changes",
     )
 
+    gripper = Query(
+        "executor/gripper",
+        GripperRequest,
+        Accepted,
+        "Move a gripper to an opening, and hold.",
+        to="executor",
+        by=DRIVES,
+    )
+    gripper_cancel = Query(
+        "executor/gripper/cancel", GripperCancel, GripperState, "Stop a gripper where it is.", to="executor", by=DRIVES
+    )
+    gripper_state = Family(
+        Latched(
+            "executor/gripper/<name>/state",
+            GripperState,
+            "One gripper: its opening and its goal; `name` may be `*`.",
+            of="executor",
+            recorded="value and changes",
+        )
+    )
+
     # servo
     servo_start = Query(
         "servo/start",
@@ -309,6 +335,24 @@ class Keys:
         "What the driver measures, in its own joint order.",
         by=("driver", "bridge"),
         realtime=True,
+        recorded="changes",
+    )
+    driver_gripper_command = Topic(
+        "driver/gripper/command",
+        DriverGripperCommand,
+        "What the executor sends to the driver of a gripper.",
+        by=("executor",),
+        realtime=True,
+        droppable=False,
+        recorded="changes",
+    )
+    driver_gripper_state = Topic(
+        "driver/gripper/state",
+        DriverGripperState,
+        "What the driver of a gripper measures, and what became of its command.",
+        by=("driver", "bridge"),
+        realtime=True,
+        droppable=False,
         recorded="changes",
     )
     simulated_fault = Query(

@@ -10,12 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from zarm_contract._faults import field_path, one_line, sentence
 from zarm_contract.document import Document, KeyPath, read_document
 from zarm_contract.errors import InvalidRequest
+from zarm_contract.gripper import Gripper
 from zarm_contract.messages import Joints, NonNegative, Positive, Quaternion, SpeedScale, Vector3
+from zarm_contract.section import Section
 from zarm_contract.strategies import DRIVER_STRATEGIES, DriverStrategyName
 from zarm_contract.urdf import Urdf, load_urdf
 
@@ -23,12 +25,7 @@ ROBOTS = Path(__file__).parent / "robots"
 """The descriptors that come with zarm."""
 
 
-class _Section(BaseModel):
-    # Not strict: a descriptor is written by hand, and to YAML `1` is no float and `[...]` no tuple.
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class CollisionSphere(_Section):
+class CollisionSphere(Section):
     """A ball of `radius` m around `center` in its link's frame."""
 
     kind: Literal["sphere"] = "sphere"
@@ -39,7 +36,7 @@ class CollisionSphere(_Section):
     """Radius (m)."""
 
 
-class CollisionCapsule(_Section):
+class CollisionCapsule(Section):
     """All points within `radius` m of the segment `a`-`b` in the link's frame."""
 
     kind: Literal["capsule"]
@@ -51,7 +48,7 @@ class CollisionCapsule(_Section):
     """The capsule is every point within this distance of the segment (m)."""
 
 
-class CollisionCylinder(_Section):
+class CollisionCylinder(Section):
     """A flat-ended cylinder; `a` and `b` are the centres of its end faces in the link's frame."""
 
     kind: Literal["cylinder"]
@@ -63,7 +60,7 @@ class CollisionCylinder(_Section):
     """Radius (m)."""
 
 
-class CollisionCuboid(_Section):
+class CollisionCuboid(Section):
     """A box of full edge lengths `size` m, centred at `center` and turned by `orientation` in the link's frame."""
 
     kind: Literal["cuboid"]
@@ -80,7 +77,7 @@ CollisionPrimitive = Annotated[
 ]
 
 
-class CSpace(_Section):
+class CSpace(Section):
     """Joint limits, one value for each of `joints`."""
 
     velocity: tuple[Positive, ...]
@@ -91,7 +88,7 @@ class CSpace(_Section):
     """Maximum joint jerks (rad/s³)."""
 
 
-class ToolSpeeds(_Section):
+class ToolSpeeds(Section):
     """How the tip moves along lines, arcs and paths.
 
     Source of the defaults: 0.25 m/s is the limit of ISO 10218-1 for reduced speed.
@@ -108,7 +105,7 @@ class ToolSpeeds(_Section):
 FaultPolicy = Literal["latch", "clear_at_rest"]
 
 
-class ExecutionSettings(_Section):
+class ExecutionSettings(Section):
     """What the executor checks before and during motion.
 
     Sources of the defaults: MoveIt for the allowed duration, ros2_control for the path and goal tolerances, the settle time
@@ -165,7 +162,7 @@ def _is_multiple(span: float, step: float) -> bool:
     return round(span / step) >= 1 and abs(span / step - round(span / step)) < 1e-6
 
 
-class StrategyParams(_Section):
+class StrategyParams(Section):
     """How to speak to the driver of the robot. The defaults of `point_dt` and `chunk_period` are those of the Doosan driver."""
 
     command_topic: str = Field(min_length=1)
@@ -221,7 +218,7 @@ class StrategyParams(_Section):
             )
 
 
-class RobotDescriptor(_Section):
+class RobotDescriptor(Section):
     """One robot: a YAML file with its URDF beside it. Lengths in m, angles in rad, times in s."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
@@ -248,6 +245,8 @@ class RobotDescriptor(_Section):
     """Pairs that pass each other too closely for their spheres: the search leaves them to the exact check of its result."""
     self_margin: Annotated[float, Field(ge=0, le=0.2)] = 0.005
     """Distance that a plan keeps between links (m), unless its request says another."""
+    grippers: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")], Gripper] = Field(default={}, max_length=8)
+    """The robot's grippers by name."""
     tool: ToolSpeeds = ToolSpeeds()
     """How the tip moves along lines, arcs and paths, unless the request says otherwise."""
     interpolation_dt: Annotated[float, Field(ge=0.001, le=0.1)] = 0.02
@@ -289,6 +288,17 @@ class RobotDescriptor(_Section):
                 "collision: no link has geometry, so that nothing would keep the robot from colliding; give the links "
                 "primitives here and the spheres that cover them in `spheres`"
             )
+        faults += [
+            f"grippers.{name}.{key}: {fault}"
+            for name, gripper in self.grippers.items()
+            for key, fault in gripper.faults()
+        ]
+        driven = [gripper.joint for gripper in self.grippers.values()]
+        faults += [
+            f"grippers.{name}.joint: {gripper.joint} is the joint of two grippers; each needs its own"
+            for name, gripper in self.grippers.items()
+            if driven.count(gripper.joint) > 1
+        ]
         if self.strategy_params is not None:
             faults += [f"strategy_params.{fault}" for fault in self.strategy_params.faults(self.joints)]
             period, chunk = self.execution.control_period, self.strategy_params.chunk_period
@@ -329,6 +339,15 @@ class RobotDescription:
         """Which joints turn freely: for them, angles that differ by whole turns are the same."""
         return tuple(map(math.isinf, self.upper))
 
+    def gripper_positions(self, widths: Mapping[str, float]) -> dict[str, float]:
+        """The position (rad, m) of each joint of the grippers at these openings (m) by gripper; one that is left out is open."""
+        return {
+            joint: multiplier * position + offset
+            for name, gripper in self.descriptor.grippers.items()
+            for position in [gripper.position(widths.get(name, gripper.open))]
+            for joint, (multiplier, offset) in gripper.joints(self.urdf).items()
+        }
+
     def range_about(self, position: Sequence[float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Finite limits, lower and upper, to sample or to show: those of the joints, or for a continuous one half a turn
         to each side of its `position` (rad).
@@ -365,7 +384,7 @@ def load_robot(name_or_path: str) -> RobotDescription:
     if not urdf_path.is_file():
         message = f"cannot read the URDF {urdf_path}: no such file; the path is relative to the descriptor's folder"
         raise InvalidRequest(document.fault(("urdf",), message))
-    urdf = load_urdf(urdf_path)
+    urdf = load_urdf(urdf_path, {gripper.joint for gripper in descriptor.grippers.values()})
     faults = _against_urdf(descriptor, urdf)
     if faults:
         raise InvalidRequest("\n".join(document.fault(key, message) for key, message in faults))
@@ -411,6 +430,11 @@ def _against_urdf(robot: RobotDescriptor, urdf: Urdf) -> list[tuple[KeyPath, str
         if joint.lower is not None and joint.upper is not None and not joint.lower <= value <= joint.upper:
             limits = f"{joint.lower} to {joint.upper}"
             faults.append((("home", index), f"{value} is outside the limits of {joint.name}: {limits}"))
+    faults += [
+        (("grippers", name, key), fault)
+        for name, gripper in robot.grippers.items()
+        for key, fault in gripper.faults_in(urdf, robot.joints)
+    ]
     return faults + [(("collision", link), fault) for link in robot.collision for fault in _mount(robot, urdf, link)]
 
 
@@ -421,9 +445,13 @@ def _mount(robot: RobotDescriptor, urdf: Urdf, link: str) -> Iterator[str]:
     except InvalidRequest as error:
         yield error.problem.message
         return
+    gripping = {name for gripper in robot.grippers.values() for name in gripper.joints(urdf)}
     for joint in chain:
-        if joint.type != "fixed" and joint.name not in robot.joints:
-            yield f'it hangs on {joint.name}, which is not a joint of the robot; give that joint type="fixed" in the URDF'
+        if joint.type != "fixed" and joint.name not in robot.joints and joint.name not in gripping:
+            yield (
+                f"it hangs on {joint.name}, which is not a joint of the robot; describe its gripper in `grippers`, or give that joint "
+                'type="fixed" in the URDF'
+            )
 
 
 def _explain(document: Document, loc: KeyPath, message: str, kind: str) -> str:
@@ -440,7 +468,7 @@ def _remedy(kind: str, key: str) -> str:
         case "missing":
             return "; docs/reference/robot.md explains what to write here"
         case "extra_forbidden":
-            known = {name for section in _Section.__subclasses__() for name in section.model_fields}
+            known = {name for section in Section.__subclasses__() for name in section.model_fields}
             close = difflib.get_close_matches(key, known, 1)
             return f"; did you mean {close[0]}?" if close else "; docs/reference/robot.md lists the keys"
         case "union_tag_not_found":

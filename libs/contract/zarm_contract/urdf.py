@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
@@ -74,8 +74,10 @@ class Urdf:
         return tuple(reversed(joints))
 
 
-def load_urdf(path: Path) -> Urdf:
-    """Read a URDF file. Raises InvalidRequest with file, line and remedy; one line per fault."""
+def load_urdf(path: Path, grippers: Collection[str] = ()) -> Urdf:
+    """Read a URDF file, in which joints may mimic those of `grippers`. Raises InvalidRequest with file, line and remedy; one
+    line per fault.
+    """
     try:
         text = path.read_bytes()
     except OSError as error:
@@ -89,7 +91,7 @@ def load_urdf(path: Path) -> Urdf:
     for element in document.root.findall("joint"):
         try:
             joint = read_joint(document, element, notes)
-            _check_drive(document, element, joint)
+            _check_drive(document, element, joint, grippers)
         except InvalidRequest as error:
             faults.append(error.problem.message)
             continue
@@ -237,15 +239,19 @@ def _mimic(document: UrdfDocument, mimic: ET.Element | None, owner: str) -> tupl
     return document.attribute(mimic, "joint"), multiplier, offset
 
 
-def _check_drive(document: UrdfDocument, element: ET.Element, joint: Joint) -> None:
+def _check_drive(document: UrdfDocument, element: ET.Element, joint: Joint, grippers: Collection[str]) -> None:
     """Raise InvalidRequest for a joint that no descriptor can use."""
     name = joint.name
     if joint.type not in (*_DRIVEN, "fixed"):
         raise document.fault(element, f"joint {name} is {joint.type}; known are {', '.join(_DRIVEN)}, fixed")
-    if joint.mimic is not None:
+    if joint.mimic is not None and joint.mimic[0] not in grippers:
         mimic = element.find("mimic")
         where = element if mimic is None else mimic
-        raise document.fault(where, f"joint {name} mimics another; make it fixed at the position it is used in")
+        raise document.fault(
+            where,
+            f"joint {name} mimics {joint.mimic[0]}, which is not the joint of a gripper; name that in `grippers` of the descriptor, or "
+            "make this one fixed at the position it is used in",
+        )
     if joint.type not in _LIMITED:
         return
     limit = element.find("limit")

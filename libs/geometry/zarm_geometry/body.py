@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,10 +43,13 @@ class Body:
         return np.column_stack((self.balls[:, :3] @ self.pose[:3, :3].T + self.pose[:3, 3], self.balls[:, 3]))
 
 
-def link_body(robot: RobotDescription, link: str) -> Body:
-    """A link of the descriptor as a body; it may touch the links paired with it in `self_collision_ignore`."""
+def link_body(robot: RobotDescription, link: str, grippers: Mapping[str, float]) -> Body:
+    """A link of the descriptor as a body; it may touch the links paired with it in `self_collision_ignore`.
+
+    `grippers` are the positions of the grippers' joints.
+    """
     descriptor = robot.descriptor
-    passed, pose = along(robot.urdf.chain(descriptor.base_link, link))
+    passed, pose = along(robot.urdf.chain(descriptor.base_link, link), grippers)
     beside = [set(pair) for pair in descriptor.self_collision_ignore if link in pair]
     return Body(
         name=link,
@@ -71,16 +75,19 @@ def attached_body(item: Attached, dof: int, tip: Array) -> Body:
     return Body(name, dof - 1, tip, origin, balls, shapes, touches=frozenset(item.touch_links))
 
 
-def along(chain: tuple[Joint, ...]) -> tuple[list[Array], Array]:
+def along(chain: tuple[Joint, ...], standing: Mapping[str, float]) -> tuple[list[Array], Array]:
     """Along a chain: each moving joint's frame in the previous one (3, 4), and the chain's end (4, 4) in the last.
 
-    The frame of a moving joint is rotated so that its axis is z: the kernels need only one kind of rotation.
+    Joints in `standing` stand at these positions (rad, m), as fixed ones do. The frame of a moving joint is rotated so that its axis
+    is z: the kernels need only one kind of rotation.
     """
     origins: list[Array] = []
     pose = np.eye(4)
     for joint in chain:
         pose = pose @ _pose(joint)
-        if joint.type != "fixed":
+        if joint.name in standing:
+            pose = pose @ _moved(joint, standing[joint.name])
+        elif joint.type != "fixed":
             turn = _turn(joint.axis)
             origins.append((pose @ turn)[:3])
             pose = turn.T
@@ -92,6 +99,17 @@ def _turn(axis: Vector3) -> Array:
     turn = np.eye(4)
     turn[:3, :3] = rotation_to(axis)
     return turn
+
+
+def _moved(joint: Joint, position: float) -> Array:
+    """The motion (4, 4) of a joint at a position (rad, m)."""
+    motion, turn = np.eye(4), _turn(joint.axis)
+    if joint.type == "prismatic":
+        motion[2, 3] = position
+    else:
+        (c, s) = (math.cos(position), math.sin(position))
+        motion[:2, :2] = [[c, -s], [s, c]]
+    return np.asarray(turn @ motion @ turn.T)
 
 
 def _pose(joint: Joint) -> Array:

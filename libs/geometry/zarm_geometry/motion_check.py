@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from zarm_contract.messages import Attached, SceneObject
 from zarm_geometry.meshes import Meshes
-from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.robot_model import Openings, RobotModel
 from zarm_geometry.situation import (
     MotionRobot,
     MotionVerdict,
@@ -29,7 +29,7 @@ class MotionCheck:
 
     def __init__(self, model: RobotModel, meshes: Meshes | None = None) -> None:
         self.model, self._meshes = model, meshes or Meshes()
-        self._robots: dict[tuple[tuple[Attached, ...], tuple[str, ...]], MotionRobot] = {}
+        self._robots: dict[tuple[tuple[Attached, ...], tuple[str, ...], Openings], MotionRobot] = {}
         self._shapes: dict[int, MovableShapes] = {}  # by the id of the object in it
         self.set_world(World((), 0.0))
 
@@ -50,11 +50,12 @@ class MotionCheck:
         attached: Sequence[Attached] = (),
         ignored_links: Sequence[str] = (),
         moving: Sequence[MovingObject] = (),
+        openings: Openings = (),
     ) -> Situation:
         """The robot in the present world among `moving` objects, for several checks; `attached` objects and
-        `ignored_links` are as in the scene.
+        `ignored_links` are as in the scene, `openings` as in `RobotModel.with_attached`.
         """
-        key = (tuple(attached), tuple(ignored_links))
+        key = (tuple(attached), tuple(ignored_links), openings)
         robot = self._robots.get(key)
         if robot is None:
             robot = MotionRobot.of(self.model.with_attached(*key))
@@ -70,11 +71,12 @@ class MotionCheck:
         attached: Sequence[Attached] = (),
         ignored_links: Sequence[str] = (),
         moving: Sequence[MovingObject] = (),
+        openings: Openings = (),
         acceleration: ArrayLike | None = None,
         self_collision: bool = True,
     ) -> MotionVerdict:
         """`Situation.check` in the present situation."""
-        return self.situation(attached, ignored_links, moving).check(
+        return self.situation(attached, ignored_links, moving, openings).check(
             times, positions, margin=margin, acceleration=acceleration, self_collision=self_collision
         )
 
@@ -87,9 +89,10 @@ class MotionCheck:
         attached: Sequence[Attached] = (),
         ignored_links: Sequence[str] = (),
         moving: Sequence[MovingObject] = (),
+        openings: Openings = (),
     ) -> list[NearPair]:
         """`Situation.nearby` in the present situation."""
-        return self.situation(attached, ignored_links, moving).nearby(position, within=within, time=time)
+        return self.situation(attached, ignored_links, moving, openings).nearby(position, within=within, time=time)
 
     def _shaped(self, moving: Sequence[MovingObject]) -> list[tuple[MovableShapes, MovingObject]]:
         """Moving objects with their shapes, which are remembered: the next check is often of the same ones."""

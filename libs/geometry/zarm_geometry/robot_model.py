@@ -26,6 +26,9 @@ from zarm_geometry.sphere_cover import sphere_cover
 
 Array = NDArray[np.float64]
 
+Openings = tuple[tuple[str, float], ...]
+"""Grippers of a robot with their openings (m)."""
+
 _COVER = 12
 """Most balls around an exact shape in the broad phase."""
 
@@ -61,23 +64,43 @@ class RobotModel:
 
     @classmethod
     def of(cls, robot: RobotDescription) -> Self:
-        """Pack a robot without attached objects."""
+        """Pack a robot without attached objects, its grippers open."""
         descriptor = robot.descriptor
-        origins, tip = along(robot.urdf.chain(descriptor.base_link, descriptor.tip_link))
-        bodies = [link_body(robot, link) for link in descriptor.spheres]
+        origins, tip = along(robot.urdf.chain(descriptor.base_link, descriptor.tip_link), {})
+        grippers = robot.gripper_positions({})
+        bodies = [link_body(robot, link, grippers) for link in descriptor.spheres]
         return cls._packed(robot, np.array(origins), tip, bodies)
 
-    def with_attached(self, attached: Sequence[Attached], ignored_links: Sequence[str]) -> Self:
-        """This robot with one more body for each attached object, and without the ignored links.
+    def with_attached(
+        self, attached: Sequence[Attached], ignored_links: Sequence[str], openings: Openings = ()
+    ) -> Self:
+        """This robot with one more body for each attached object, without the ignored links, and with grippers at these
+        `openings`; those left out are open.
 
         The object is fixed to the tip and named as in the scene; it may touch its `touch_links`.
         """
-        if not attached and not ignored_links:
+        grippers = self.robot.descriptor.grippers
+        openings = tuple((name, width) for name, width in openings if width != grippers[name].open)
+        if not attached and not ignored_links and not openings:
             return self
         tip = self.offset[-1]
-        bodies = [body for body in self.bodies if body.name not in ignored_links]
+        bodies = [body for body in self._at(openings) if body.name not in ignored_links]
         bodies += [attached_body(item, self.dof, tip) for item in attached]
         return self._packed(self.robot, self.origin, tip, bodies)
+
+    def _at(self, openings: Openings) -> list[Body]:
+        """The links, those of the grippers at these openings."""
+        if not openings:
+            return list(self.bodies)
+        positions = self.robot.gripper_positions(dict(openings))
+        return [
+            link_body(self.robot, body.name, positions)
+            if any(
+                joint.name in positions for joint in self.robot.urdf.chain(self.robot.descriptor.base_link, body.name)
+            )
+            else body
+            for body in self.bodies
+        ]
 
     @classmethod
     def _packed(cls, robot: RobotDescription, origin: Array, tip: Array, bodies: Sequence[Body]) -> Self:

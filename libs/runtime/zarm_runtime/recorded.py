@@ -12,8 +12,7 @@ from zarm_contract.messages import Message
 class Recorded:
     """The recorded keys of one robot.
 
-    `keys` are they by key expression (goals are the family `executor/goal/*`); `present` are the keys whose value
-    from before is recorded too.
+    `keys` are they by key expression (goals are the family `executor/goal/*`, and grippers another one).
     """
 
     def __init__(self, keys: Keys) -> None:
@@ -21,13 +20,21 @@ class Recorded:
             key.of_robot(keys.robot) for key in every_key() if isinstance(key, Published) and key.recorded is not None
         ]
         self.keys: dict[str, Published[Any]] = {key: key for key in recorded}
-        self.present = frozenset(key for key in recorded if key.recorded == "value and changes")
-        self._goals = keys.goal("*")
-        self._goal = self._goals.removesuffix("*")
+        self._families = [(key, key.partition("*")) for key in recorded if "*" in key]
 
     def key(self, expression: str) -> Published[Any] | None:
         """The recorded key with this key expression; None if it is not recorded."""
-        return self.keys.get(self._goals if expression.startswith(self._goal) else expression)
+        known = self.keys.get(expression)
+        if known is not None:
+            return known
+        return next(
+            (
+                key
+                for key, (before, _, after) in self._families
+                if expression.startswith(before) and expression.endswith(after)
+            ),
+            None,
+        )
 
     def model(self, expression: str) -> type[Message] | None:
         """The class of the messages on a key; None if it is not recorded."""

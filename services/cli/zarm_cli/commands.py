@@ -26,6 +26,7 @@ MODULES = {
     "plan": "planning",
     "execute": "execution",
     "program": "program",
+    "gripper": "gripper",
     "cancel": "execution",
     "speed": "execution",
     "strategy": "execution",

@@ -26,6 +26,7 @@ from zarm_contract.robot import RobotDescription
 from zarm_executor.admission import REST_PATIENCE, Admission
 from zarm_executor.checks import continuation, executable, startable
 from zarm_executor.goal import Goal
+from zarm_executor.grippers import Grippers
 from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.plans import Plans
@@ -57,7 +58,9 @@ class Executor:
         publisher: Publisher[Strategies],
         speeds: Publisher[Speed],
         kept_speed: StateFile[Speed],
+        grippers: Grippers,
     ) -> None:
+        self._grippers = grippers
         self._robot = robot
         self._machine = machine
         self._reporter = reporter
@@ -97,8 +100,10 @@ class Executor:
                 tip=chosen.tip,
                 segments=chosen.segments,
                 touches=chosen.touches,
+                openings=chosen.openings,
             )
-            turn.start(goal)
+            with self._grippers.as_planned(chosen.name, chosen.openings):
+                turn.start(goal)
         RateBounds.of(
             trajectory, RateLimits.of(self._robot.descriptor)
         ).prepare()  # so that no tick has to compute them
@@ -117,7 +122,9 @@ class Executor:
         else:
             trajectory = continuation(request.trajectory, self._robot, np.zeros(len(self._robot.descriptor.joints)))
             start = request.at
-        goal = self._machine.replace(request.goal_id, request.number, trajectory, revision, start, request.until)
+        goal = self._machine.replace(
+            request.goal_id, request.number, trajectory, revision, start, request.openings, request.until
+        )
         self._reporter.show(goal)
         self._reporter.publish()
         return Accepted(goal_id=request.goal_id)
@@ -135,6 +142,7 @@ class Executor:
         mode = self._machine.state().mode
         if mode != "idle":
             raise Busy(f"the executor is in the mode {mode}; let the goal end, or reset the fault, and try again")
+        self._grippers.check_idle()
 
     def cancel(self, request: CancelRequest, arrival: int) -> ExecutorState:
         """Cancel the given goal, or the running one."""
@@ -144,6 +152,7 @@ class Executor:
     def stop(self, _: Nothing, arrival: int) -> ExecutorState:
         """Bring the robot to rest."""
         self._machine.stop("the robot was stopped by a client", arrival)
+        self._grippers.stop(arrival)
         return self._reporter.publish()
 
     def pause(self, _: Nothing, arrival: int) -> ExecutorState:
@@ -194,6 +203,7 @@ class Executor:
             return self._describe_strategies()
         try:
             self._machine.switch(self._strategies.find(name), REST_PATIENCE, arrival)
+            self._grippers.switch(name)
         finally:
             self._reporter.publish()
         return self.publish_strategies()

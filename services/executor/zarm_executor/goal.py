@@ -6,7 +6,7 @@ from bisect import bisect_right
 from dataclasses import dataclass, replace
 
 from zarm_contract.errors import Problem
-from zarm_contract.messages import GoalState, GoalTrajectory, Pose, SceneRevision, Touch
+from zarm_contract.messages import GoalState, GoalTrajectory, Openings, Pose, SceneRevision, Touch
 from zarm_executor.monitor import Monitor
 from zarm_executor.states import Accepted, State, hold_of, outcome_of, status_of
 from zarm_executor.strategies.base import Progress
@@ -40,7 +40,8 @@ class Goal:
     `scene` is the scene revision in which the goal began, or in which the newest chunk of a stream arrived; None if
     none was known. `verified` is the revision in which the trajectory was verified, or None; `number` counts its
     trajectories. If `replan` is set, the servo may replace the trajectory, also by one to other joints if the goal is
-    the pose `tip`. `segments` are the times (s) at which those of a program begin, `touches` where it may touch objects. `monitor` watches the motion.
+    the pose `tip`. `segments` are the times (s) at which those of a program begin, `touches` where it may touch objects, and
+    `openings` those of the grippers with which it was verified. `monitor` watches the motion.
     """
 
     goal_id: str
@@ -55,6 +56,7 @@ class Goal:
     tip: Pose | None = None
     segments: tuple[float, ...] = ()
     touches: tuple[Touch, ...] = ()
+    openings: Openings = ()
 
     @property
     def complete(self) -> bool:
@@ -66,14 +68,26 @@ class Goal:
         self.monitor.steer(trajectory)
         return replace(self, trajectory=trajectory, chunk=chunk, scene=chunk.scene, number=self.number + 1)
 
-    def replaced(self, trajectory: TimedTrajectory, verified: SceneRevision, monitor: Monitor | None = None) -> Goal:
-        """The goal that continues along `trajectory`, which was verified in that scene, watched by `monitor` or as
-        before.
+    def replaced(
+        self,
+        trajectory: TimedTrajectory,
+        verified: SceneRevision,
+        openings: Openings,
+        monitor: Monitor | None = None,
+    ) -> Goal:
+        """The goal that continues along `trajectory`, which was verified in that scene with these openings, watched by `monitor`
+        or as before.
         """
         monitor = monitor or self.monitor
         monitor.steer(trajectory)
         return replace(
-            self, trajectory=trajectory, scene=verified, verified=verified, monitor=monitor, number=self.number + 1
+            self,
+            trajectory=trajectory,
+            scene=verified,
+            verified=verified,
+            openings=openings,
+            monitor=monitor,
+            number=self.number + 1,
         )
 
     def late(self, now: float, held_until: float) -> Problem | None:
@@ -124,6 +138,7 @@ class Goal:
             replan=self.replan,
             tip=self.tip,
             touches=self.touches,
+            openings=self.openings,
         )
 
     def before_motion(self) -> GoalState:

@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import replace
 
 from zarm_contract.errors import Busy, ExecutionFailed, ExecutionRefused, Unavailable
-from zarm_contract.messages import Authority, GoalState, Hold, RobotMode, SceneRevision
+from zarm_contract.messages import Authority, GoalState, Hold, Openings, RobotMode, SceneRevision
 from zarm_executor.goal import Chunk, Goal
 from zarm_executor.guard import LEAST_WAY, Guard, Limit, given_up
 from zarm_executor.monitor import Monitor
@@ -138,9 +138,14 @@ class GoalExecution:
             strategy.steer(trajectory)
 
     def replace(
-        self, trajectory: TimedTrajectory, at: float, verified: SceneRevision, until: float | None = None
+        self,
+        trajectory: TimedTrajectory,
+        at: float,
+        verified: SceneRevision,
+        openings: Openings,
+        until: float | None = None,
     ) -> None:
-        """Continue along `trajectory`, verified in that scene, from the path time `at` (s) on; this releases a held
+        """Continue along `trajectory`, verified in that scene with these openings of grippers, from the path time `at` (s) on; this releases a held
         goal.
 
         The robot may go up to the time `until` (s) of `trajectory`, or to its end if None.
@@ -158,14 +163,19 @@ class GoalExecution:
                 code="start_state_mismatch",
             )
         joined = continued(self.goal.trajectory, strategy.commanded(), trajectory, at)
-        self.goal = self.goal.replaced(joined, verified)
+        self.goal = self.goal.replaced(joined, verified, openings)
         strategy.steer(joined)
         self._go_on(at, until)
 
     def replace_at_rest(
-        self, trajectory: TimedTrajectory, monitor: Monitor, verified: SceneRevision, until: float | None = None
+        self,
+        trajectory: TimedTrajectory,
+        monitor: Monitor,
+        verified: SceneRevision,
+        openings: Openings,
+        until: float | None = None,
     ) -> None:
-        """Continue along `trajectory`, verified in that scene, from where the robot rests, held by its authority;
+        """Continue along `trajectory`, verified in that scene with these openings of grippers, from where the robot rests, held by its authority;
         `monitor` watches it.
 
         The robot may go up to the time `until` (s) of `trajectory`, or to its end if None.
@@ -181,7 +191,7 @@ class GoalExecution:
         self._strategy.admit()
         trajectory = trajectory.begun_at(time)
         self._strategy.start(trajectory, self._speed_scale)
-        self.goal = self.goal.replaced(trajectory, verified, monitor)
+        self.goal = self.goal.replaced(trajectory, verified, openings, monitor)
         if held.hold.reason == "no_guard":
             self._strategy.stop()
         self._go_on(time, until)

@@ -16,7 +16,7 @@ import threading
 from collections import deque
 
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, ExecutionRefused, Problem, Unavailable
-from zarm_contract.messages import Authority, ExecutorState, GoalState, RobotMode, SceneRevision
+from zarm_contract.messages import Authority, ExecutorState, GoalState, Openings, RobotMode, SceneRevision
 from zarm_executor.command_order import CommandOrder
 from zarm_executor.goal import Chunk, Goal
 from zarm_executor.goal_execution import GoalExecution
@@ -168,9 +168,10 @@ class Machine:
         trajectory: TimedTrajectory,
         scene: SceneRevision,
         start: float | Monitor,
+        openings: Openings,
         until: float | None = None,
     ) -> Goal:
-        """Continue the goal along `trajectory`, verified in `scene`, instead of its trajectory `number`; returns the
+        """Continue the goal along `trajectory`, verified in `scene` with these openings of grippers, instead of its trajectory `number`; returns the
         goal.
 
         It continues from the path time `start` (s), or, if `start` is a Monitor, from rest and watched by it. It may go
@@ -188,9 +189,9 @@ class Machine:
                     code="stale_plan",
                 )
             if isinstance(start, Monitor):
-                motion.replace_at_rest(trajectory, start, scene, until)
+                motion.replace_at_rest(trajectory, start, scene, openings, until)
             else:
-                motion.replace(trajectory, start, scene, until)
+                motion.replace(trajectory, start, scene, openings, until)
             return motion.goal
 
     def receive(self, authority: Authority, now: float) -> None:
@@ -345,6 +346,12 @@ class Machine:
             changes = tuple(self.changes)
             self.changes.clear()
             return changes, self.state()
+
+    def unchecked_plan(self) -> str | None:
+        """The active goal, if it follows what was verified before the motion, and no servo checks it now."""
+        with self._lock:
+            motion = self._motion
+            return motion.goal.goal_id if motion and motion.goal.verified and not self._guarded else None
 
     def goal_state(self) -> GoalState | None:
         """The state of the current goal, if any."""

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
-from zarm_contract.messages import ExecuteRequest, Plan, Pose, SceneRevision, Touch, Trajectory
+from zarm_contract.messages import ExecuteRequest, Openings, Plan, Pose, SceneRevision, Touch, Trajectory
 
 REMEMBERED = 32
 """Number of plans that remain executable by id."""
@@ -22,7 +22,7 @@ class Chosen:
     """The plan to execute, or a trajectory without a plan, which need not claim a scene.
 
     `tip` is the goal of the plan, if that is a pose. `segments` are the times (s) at which the segments of a program
-    begin, `touches` where objects may be touched. A plan `along_curve`, on which the tip keeps to lines, arcs or the ways of a program, must not be replanned.
+    begin, `touches` where objects may be touched, and `openings` those of the grippers. A plan `along_curve`, on which the tip keeps to lines, arcs or the ways of a program, must not be replanned.
     """
 
     plan_id: str | None
@@ -32,6 +32,7 @@ class Chosen:
     segments: tuple[float, ...] = ()
     along_curve: bool = False
     touches: tuple[Touch, ...] = ()
+    openings: Openings = ()
 
     @property
     def name(self) -> str:
@@ -78,7 +79,16 @@ class Plans:
         tip = None if plan.selected_goal_index is None else plan.tip
         segments = tuple(segment.begin for segment in plan.segments)
         along_curve = plan.tool is not None or bool(segments)
-        return Chosen(plan.plan_id, plan.trajectory, plan.scene_revision, tip, segments, along_curve, plan.touches)
+        return Chosen(
+            plan.plan_id,
+            plan.trajectory,
+            plan.scene_revision,
+            tip,
+            segments,
+            along_curve,
+            plan.touches,
+            plan.openings,
+        )
 
     def _last(self) -> Plan:
         newest = self._ask()

@@ -54,8 +54,8 @@ class Ring:
 
     def observe(self, key: str, payload: bytes) -> None:
         """Append a message if its key is recorded; one too large for any reader is left out."""
-        model = self._recorded.model(key)
-        if model is None or len(payload) > model.max_bytes:
+        published = self._recorded.key(key)
+        if published is None or len(payload) > published.model.max_bytes:
             return
         entry, now, size = (time.time_ns(), key, payload), time.monotonic(), len(payload) + _OVERHEAD
         dropped = []  # freed only outside the lock
@@ -63,7 +63,7 @@ class Ring:
             if now - self._newest.began > _SPAN or self._newest.size + size > self._most // _SEGMENTS:
                 self._newest = _Segment(now, self._present.copy())
                 self._segments.append(self._newest)
-            if key in self._recorded.present:
+            if published.recorded == "value and changes":
                 self._present[key] = entry
             self._newest.entries.append(entry)
             self._newest.size += size

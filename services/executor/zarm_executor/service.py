@@ -9,7 +9,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 
 from zarm_contract.messages import (
     GoalState,
@@ -24,6 +24,8 @@ from zarm_executor.executor import Executor
 from zarm_executor.flight_recorder import FlightRecorder
 from zarm_executor.ghost import PERIOD as GHOST_PERIOD
 from zarm_executor.ghost import Ghost
+from zarm_executor.grippers import PERIOD as GRIPPERS_PERIOD
+from zarm_executor.grippers import Grippers
 from zarm_executor.guard import Guard
 from zarm_executor.loop import LATE, Loop
 from zarm_executor.machine import Machine
@@ -137,13 +139,19 @@ def start(service: Service) -> Iterator[None]:
             settings = bus.publisher(keys.strategy), bus.publisher(keys.speed)
             admission = Admission(machine, reporter, robot.descriptor.execution.joint_state_timeout)
             streams = Streams(robot, machine, reporter, admission)
-            executor = Executor(robot, machine, reporter, admission, plans, present, strategies, *settings, kept_speed)
+            grippers = Grippers(
+                robot.descriptor, machine, command_bus, keys, StateFile(folder / "emulated_grippers.json", JointState)
+            )
+            executor = Executor(
+                robot, machine, reporter, admission, plans, present, strategies, *settings, kept_speed, grippers
+            )
             _export(service.metrics, machine, loop)
             with (
                 loop,
                 Watchdog(loop) as watchdog,
                 Loop("ghost", GHOST_PERIOD, ghost.play),
                 Loop("reporter", REPORTER_PERIOD, reporter.look),
+                Loop("grippers", GRIPPERS_PERIOD, grippers.tick) if grippers else nullcontext(),
             ):
                 bus.watch(keys.scene_revision, present.receive)
                 command_bus.subscribe(keys.authority, lambda _, authority: machine.receive(authority, time.monotonic()))
@@ -155,6 +163,8 @@ def start(service: Service) -> Iterator[None]:
                 bus.watch(keys.plans, receive)
                 service.interruptible, service.impairment = executor.check_idle, watchdog.impairment
                 _serve(bus, service, executor)
+                bus.serve_in_order(keys.gripper, grippers.move)
+                bus.serve(keys.gripper_cancel, grippers.cancel)
                 bus.subscribe_in_order(keys.stream, streams.receive)
                 _exempt_from_collection()
                 service.ready()

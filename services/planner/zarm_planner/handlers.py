@@ -45,8 +45,9 @@ from zarm_contract.messages import (
 )
 from zarm_geometry.exact import RESOLUTION
 from zarm_geometry.frames import matrix, pose_of
+from zarm_geometry.gripper_openings import GripperOpenings, openings_message
 from zarm_geometry.occupancy import reached_cells
-from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.robot_model import Openings, RobotModel
 from zarm_geometry.sphere_distances import sphere_distances
 from zarm_planner.constraints.path_constraint import constrains
 from zarm_planner.context import PlanningContext
@@ -83,7 +84,7 @@ class Handlers:
     the bus.
 
     `measured` returns the robot's current joints (dof,), or raises ExecutionRefused (`no_joint_state`). `is_there`
-    tells whether a client that had left is back. `planners` are those to choose from.
+    tells whether a client that had left is back. `planners` are those to choose from. `grippers` are as measured.
     """
 
     def __init__(
@@ -96,6 +97,7 @@ class Handlers:
         planners: Sequence[Planner] = PLANNERS,
     ) -> None:
         self._model = model
+        self.grippers = GripperOpenings(model.robot.descriptor)
         self._name = name
         self._store = store
         self._measured = measured
@@ -112,7 +114,7 @@ class Handlers:
         """Compile or load the kernels used by plans; `report` is told what comes next."""
         warm_up(self._model, report)
         report("loading the scene")
-        self.scenes.prepare(self._store.scene)
+        self.scenes.prepare(self._store.scene, self.grippers.present())
         try:
             self.scenes.present(self._settings.margin)
         except Unavailable as error:  # every plan will report this until the scene is edited
@@ -130,6 +132,7 @@ class Handlers:
         planner = self._choose(request)
         if with_ways(request.goal):
             return self._with_ways(request)
+        openings = self.grippers.chosen(request.openings)
 
         def work(deadline: Deadline) -> tuple[SceneRevision, Verified, PlanTimings]:
             limits = self._limits(
@@ -145,7 +148,9 @@ class Handlers:
             given = request.self_margin
             self_margin = model.robot.descriptor.self_margin if given is None else given
             context = PlanningContext(
-                scene=self.scenes.present(settings.margin if request.margin is None else request.margin, self_margin),
+                scene=self.scenes.present(
+                    settings.margin if request.margin is None else request.margin, self_margin, openings
+                ),
                 limits=limits,
                 deadline=deadline,
                 path_constraint=request.path_constraint,
@@ -161,13 +166,14 @@ class Handlers:
         revision, verified, timings = self._scheduler.run(
             work, requester(), request.timeout or settings.timeout, request.request_id
         )
-        return self._reply(revision, verified, timings)
+        return self._reply(revision, verified, timings, openings)
 
     def _reply(
         self,
         revision: SceneRevision,
         verified: Verified,
         timings: PlanTimings,
+        openings: Openings,
         segments: tuple[PlannedSegment, ...] = (),
         touches: tuple[Touch, ...] = (),
         problem: Problem | None = None,
@@ -185,6 +191,7 @@ class Handlers:
             tool=verified.tool,
             segments=segments,
             touches=touches,
+            openings=openings_message(openings),
             problem=problem,
             clearance=verified.clearance,
             too_near=verified.too_near,
@@ -212,11 +219,14 @@ class Handlers:
         settings = self._settings
         if self._store.lost is not None:
             raise Unavailable(self._store.lost)
+        openings = self.grippers.chosen(request.openings)
 
         def work(deadline: Deadline) -> tuple[SceneRevision, PlannedProgram, PlanTimings, Array]:
             start = within_range(self._model, self._measured() if request.start is None else request.start, "start")
             turns = whole_turns(start, self._model.continuous)
-            stage = ProgramStage(self._model, self._store, self.scenes, self._limits, settings, request, deadline)
+            stage = ProgramStage(
+                self._model, self._store, self.scenes, self._limits, settings, request, deadline, openings
+            )
             planned = plan_program(
                 stage, start - turns, request.segments, self._planners, deadline.check, partial=request.partial
             )
@@ -226,7 +236,13 @@ class Handlers:
             work, requester(), request.timeout or settings.timeout, request.request_id
         )
         plan = self._reply(
-            revision, planned.verified.shifted(turns), timings, planned.segments, planned.touches, planned.problem
+            revision,
+            planned.verified.shifted(turns),
+            timings,
+            openings,
+            planned.segments,
+            planned.touches,
+            planned.problem,
         )
         changes = tuple(
             (at, change.model_copy(update={"joints": tuple((q + turns).tolist())})) for at, change, q in planned.changes
@@ -261,7 +277,7 @@ class Handlers:
         poses = np.array([matrix(pose.position, pose.orientation) for pose in request.poses])
 
         def work(deadline: Deadline) -> IkSolutions:
-            scene = self.scenes.present(self._settings.margin)
+            scene = self.scenes.present(self._settings.margin, openings=self.grippers.present())
             turns = whole_turns(near, model.continuous)
             batch: Callable[..., list[Array]] = partial(batch_ik, scene.model, poses)
             if request.tolerance is not None or request.tip is not None:
@@ -297,11 +313,13 @@ class Handlers:
             joints = [checked(model, q, f"joints.{i}") for i, q in enumerate(request.joints)]
 
         def work(deadline: Deadline) -> CheckResults:
-            scene, results = self.scenes.present(self._settings.margin), []
+            openings = self.grippers.present()
+            scene, results = self.scenes.present(self._settings.margin, openings=openings), []
+            whole = model.with_attached((), (), openings) if request.spheres else model
             for q in joints:
                 deadline.check()
                 nearest = scene.exact.nearest(q, deadline.check)
-                spheres = tuple(sphere_distances(model, scene.world, q).tolist()) if request.spheres else None
+                spheres = tuple(sphere_distances(whole, scene.world, q).tolist()) if request.spheres else None
                 points = scene.exact.nearest_points(q, nearest) if request.points else None
                 results.append(
                     CheckResult(
@@ -351,7 +369,8 @@ class Handlers:
             return self._store.edit(request, prepare=self.scenes.prepare)
         given = request.edit.joints
         q = self._measured() if given is None else checked(self._model, given, "edit.joints")
-        return self._store.edit(request, self._model.fk_tip(q), self.scenes.prepare)
+        openings = self.grippers.present()
+        return self._store.edit(request, self._model.fk_tip(q), lambda scene: self.scenes.prepare(scene, openings))
 
     def planners(self) -> Planners:
         """The planners that a request may name."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import AttachObject, PlannerSettings, ProgramRequest
-from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.robot_model import Openings, RobotModel
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
 from zarm_planner.programs import Scales, SceneChange
@@ -34,7 +34,9 @@ class ProgramStage:
         settings: PlannerSettings,
         request: ProgramRequest,
         deadline: Deadline,
+        openings: Openings,
     ) -> None:
+        self._openings = openings
         self._model, self._store, self._scenes, self._limits = model, store, scenes, limits
         self._settings, self._request, self._deadline = settings, request, deadline
         self._scene = store.scene
@@ -50,7 +52,7 @@ class ProgramStage:
         if touch:
             scene = self._without(touch).with_margins(margin, self_margin)
         elif self._changed is None:
-            scene = self._scenes.present(margin, self_margin)
+            scene = self._scenes.present(margin, self_margin, self._openings)
         else:
             scene = self._changed.with_margins(margin, self_margin)
         limits = self._limits(
@@ -74,7 +76,7 @@ class ProgramStage:
             self._scene = attach(self._scene, change, tip, self._store.meshes)
         else:
             self._scene = detach(self._scene, change, tip)
-        self._changed = self._scenes.ready(self._scene, self._scenes.moved.objects(self._scene))
+        self._changed = self._scenes.ready(self._scene, self._scenes.moved.objects(self._scene), self._openings)
 
     def _without(self, names: Collection[str]) -> ReadyScene:
         """The scene without some of its objects."""
@@ -85,4 +87,6 @@ class ProgramStage:
                 f"{', '.join(item.name for item in objects) or 'none'}",
                 field="touch",
             )
-        return self._scenes.ready(self._scene, tuple(item for item in objects if item.name not in names))
+        return self._scenes.ready(
+            self._scene, tuple(item for item in objects if item.name not in names), self._openings
+        )

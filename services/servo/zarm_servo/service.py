@@ -48,7 +48,7 @@ def start(service: Service) -> Iterator[None]:
     checker, check = Checker(model, meshes), SceneCheck(model, meshes)
     warm_up(checker, check, service.starting)
     with service.open_bus() as command_bus:
-        world = WorldMonitor(bus.latest(keys.joint_states), meshes)
+        world = WorldMonitor(bus.latest(keys.joint_states), meshes, service.robot.descriptor)
         replanner = Replanner(
             service.robot,
             Checker(model, meshes),

@@ -12,9 +12,10 @@ from support.arrivals import arrival
 from support.executor.bench import EXECUTION, Bench
 from support.trajectories import KEYS, ROBOT, SCENE, moved, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, Unavailable
-from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Speed
+from zarm_contract.messages import ExecuteRequest, GoalState, JointState, Nothing, Plan, SceneEdited, Speed
 from zarm_executor.admission import Admission
 from zarm_executor.executor import Executor
+from zarm_executor.grippers import Grippers
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
 from zarm_executor.scene import PresentScene
@@ -49,6 +50,7 @@ def executor_of(bench: Bench, bus: Bus, folder: Path, scene: Callable[[], SceneE
         bus.publisher(KEYS.strategy),
         bus.publisher(KEYS.speed),
         StateFile(folder / "speed.json", Speed),
+        Grippers(ROBOT.descriptor, bench.machine, bus, KEYS, StateFile(folder / "grippers.json", JointState)),
     )
 
 

@@ -13,9 +13,10 @@ from support.executor.bench import EXECUTION, Bench
 from support.harness import PATIENCE
 from support.trajectories import KEYS, ROBOT, SCENE, moved, plan, rest_to_rest
 from zarm_contract.errors import Busy, Cancelled, Unavailable
-from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Speed
+from zarm_contract.messages import ExecuteRequest, GoalState, JointState, Nothing, Plan, SceneEdited, Speed
 from zarm_executor.admission import Admission
 from zarm_executor.executor import Executor
+from zarm_executor.grippers import Grippers
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
 from zarm_executor.scene import PresentScene
@@ -59,6 +60,7 @@ def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus:
         bus.publisher(KEYS.strategy),
         bus.publisher(KEYS.speed),
         StateFile(tmp_path / "speed.json", Speed),
+        Grippers(ROBOT.descriptor, bench.machine, bus, KEYS, StateFile(tmp_path / "grippers.json", JointState)),
     )
     with ThreadPoolExecutor(1) as pool:
         first = pool.submit(executor.execute, ExecuteRequest(), arrival())

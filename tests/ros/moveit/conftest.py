@@ -18,8 +18,11 @@ from support.ros.stack import Stack, stack
 
 @pytest.fixture(scope="package")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """Planner, executor and a bridge with `--moveit`, of an M1013 without a driver."""
-    with stack(tmp_path_factory.mktemp("moveit"), ros_bridge=("--moveit",)) as processes:
+    """Planner, executor, servo and a bridge with `--moveit`, of an M1013 without a driver.
+
+    It is the only one on its ROS domain: the names of MoveIt are the same for every robot.
+    """
+    with stack(tmp_path_factory.mktemp("moveit"), ros_bridge=("--moveit",), servo=()) as processes:
         yield processes
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +12,9 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
 from support.harness import PATIENCE, eventually
-from support.ros.stack import KEYS, Stack, stack
+from support.ros.stack import KEYS, Stack
 from zarm.connection import Connection
 from zarm.robot import Robot
-
-
-@pytest.fixture(scope="module")
-def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """A robot with a servo."""
-    with stack(tmp_path_factory.mktemp("servo"), ros_bridge=("--moveit",), servo=()) as processes:
-        yield processes
 
 
 def sends() -> bool:
@@ -32,9 +24,9 @@ def sends() -> bool:
 
 @pytest.mark.parametrize("legacy", [False, True], ids=["jazzy", "humble"])
 def test_twists_and_joint_jogs_move_the_robot_until_it_is_paused(
-    guarded: Stack, client: Node, group: ReentrantCallbackGroup, legacy: bool, tmp_path: Path
+    arm: Stack, client: Node, group: ReentrantCallbackGroup, legacy: bool, tmp_path: Path
 ) -> None:
-    robot = Robot(Connection.of(guarded.bus, KEYS))
+    robot = Robot(Connection.of(arm.bus, KEYS))
     servo = MoveIt2Servo(
         node=client, frame_id="base_link", callback_group=group, enable_at_init=False, legacy_interface=legacy
     )

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import fcl
@@ -21,9 +21,9 @@ Array = NDArray[np.float64]
 
 
 def link_pose(robot: RobotDescription, link: str, q: ArrayLike) -> Array:
-    """The pose (4, 4) of any link in the base frame."""
+    """The pose (4, 4) of any link in the base frame, with open grippers."""
     pose = np.eye(4)
-    position = dict(zip(robot.descriptor.joints, np.asarray(q), strict=True))
+    position = _positions(robot, q, {})
     for joint in robot.urdf.chain(robot.descriptor.base_link, link):
         pose = pose @ _origin(joint) @ _motion(joint, position.get(joint.name, 0.0))
     return pose
@@ -37,6 +37,18 @@ def tip_error(
     turn = tip[:3, :3].T @ _rotation(orientation)
     angle = math.acos(min(1.0, max(-1.0, (float(np.trace(turn)) - 1) / 2)))
     return float(np.linalg.norm(tip[:3, 3] - position)), angle
+
+
+def _positions(robot: RobotDescription, q: ArrayLike, widths: Mapping[str, float]) -> dict[str, float]:
+    """The position of each joint, also of those that move the fingers of a gripper: in proportion to its width."""
+    positions = dict(zip(robot.descriptor.joints, np.asarray(q), strict=True))
+    for name, gripper in robot.descriptor.grippers.items():
+        at = float(np.interp(widths.get(name, gripper.widths[-1]), gripper.widths, gripper.positions))
+        positions[gripper.joint] = at
+        for joint in robot.urdf.joint_of_child.values():
+            if joint.mimic is not None and joint.mimic[0] == gripper.joint:
+                positions[joint.name] = joint.mimic[1] * at + joint.mimic[2]
+    return positions
 
 
 class _Posed:
@@ -58,7 +70,7 @@ class _Posed:
 class Collisions(_Posed):
     """Whether the robot's exact geometry touches an object or itself, according to the descriptor and the scene.
 
-    Pairs on the same rigid body are not checked.
+    Pairs on the same rigid body are not checked. Grippers have these `widths`; those left out are open.
     """
 
     def __init__(
@@ -67,7 +79,9 @@ class Collisions(_Posed):
         objects: Sequence[SceneObject],
         attached: Sequence[Attached] = (),
         ignored_links: Sequence[str] = (),
+        widths: Mapping[str, float] | None = None,
     ) -> None:
+        self._widths = widths or {}
         descriptor = robot.descriptor
         super().__init__(robot)
         self._parts = {
@@ -99,7 +113,7 @@ class Collisions(_Posed):
     def at(self, q: ArrayLike) -> bool:
         """Whether there is a collision at the configuration `q`."""
         poses = {self._robot.descriptor.base_link: np.eye(4)}
-        position = dict(zip(self._robot.descriptor.joints, np.asarray(q), strict=True))
+        position = _positions(self._robot, q, self._widths)
         for name, shapes in self._parts.items():
             frame = self._pose(self._frame[name], position, poses)
             for pose, shape in shapes:
@@ -230,7 +244,7 @@ class Clearance(_Posed):
         place[:3, 3] = position
         self._object.setTransform(_transform(place))
         known = {self._robot.descriptor.base_link: np.eye(4)}
-        values = dict(zip(self._robot.descriptor.joints, np.asarray(q), strict=True))
+        values = _positions(self._robot, q, {})
         poses = np.array([self._pose(link, values, known) for link in self._links])[self._of_link]
         away = (poses @ self._centers)[:, :3, 0] - position
         bounds = np.sqrt((away * away).sum(axis=1)) - self._around

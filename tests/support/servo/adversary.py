@@ -137,7 +137,7 @@ class _Run:
         measured: Any = SimpleNamespace(get=lambda max_age=1.0: self._measured())
         authorities: Any = SimpleNamespace(put=lambda said: self._post(lambda: self._hear(said)))
         nothing: Any = SimpleNamespace(set=lambda _: None)
-        self._world = WorldMonitor(measured, MESHES)
+        self._world = WorldMonitor(measured, MESHES, ROBOT.descriptor)
         self._guard = Guard(
             robot,
             cell.checker,

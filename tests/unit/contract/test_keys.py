@@ -17,7 +17,12 @@ def every_key(robot: str) -> dict[str, str]:
     """Every key of one robot, families and services with the widest expression that they are used with."""
     keys = Keys(robot)
     plain = {name: getattr(keys, name) for name, value in vars(Keys).items() if isinstance(value, Key)}
-    families = {"scene_object": keys.scene_object("*"), "object_pose": keys.object_pose("*"), "goal": keys.goal("*")}
+    families = {
+        "scene_object": keys.scene_object("*"),
+        "object_pose": keys.object_pose("*"),
+        "goal": keys.goal("*"),
+        "gripper_state": keys.gripper_state("*"),
+    }
     of_services = {
         f"{kind}({service})": key
         for service in SERVICES

@@ -97,7 +97,7 @@ def test_a_robot_that_takes_whole_trajectories_alone_may_have_any_control_rate(a
     ("old", "new", "fault"),
     [
         ('  <link name="link_6"/>', '  <link name="link_6">', "not well-formed XML: mismatched tag"),
-        ('<origin xyz="0 0 0.1525"', '<mimic joint="joint_2"/><origin xyz="0 0 0.1525"', "joint joint_1 mimics another; make it fixed at the position it is used in"),
+        ('<origin xyz="0 0 0.1525"', '<mimic joint="joint_2"/><origin xyz="0 0 0.1525"', "joint joint_1 mimics joint_2, which is not the joint of a gripper; name that in `grippers` of the descriptor, or make this one fixed at the position it is used in"),
         ('xyz="0 -0.121 0"', 'xyz="0 -0.121"', "joint joint_6: xyz='0 -0.121' must be 3 finite numbers"),
         ('xyz="0 -0.121 0"', 'xyz="0 ${d6} 0"', "joint joint_6: xyz='0 ${d6} 0' must be 3 finite numbers; this is a xacro file: expand it first with `xacro`"),
         ('lower="-2.7925"', 'lower="2.8"', "joint joint_3 has its lower limit 2.8 above its upper limit 2.7925; swap them"),
@@ -182,7 +182,7 @@ def test_geometry_that_the_joints_do_not_carry_is_refused(arm: Path) -> None:
     edit(arm, "  link_6: *link_6", "  finger: *finger\n  link_6: *link_6")
     (fault,) = faults(arm)
     assert fault.endswith(
-        'collision.finger: it hangs on slide, which is not a joint of the robot; give that joint type="fixed" in the URDF'
+        'collision.finger: it hangs on slide, which is not a joint of the robot; describe its gripper in `grippers`, or give that joint type="fixed" in the URDF'
     )
     edit(urdf, 'name="slide" type="prismatic"', 'name="slide" type="fixed"')
     assert "finger" in load_robot(str(arm)).descriptor.collision

@@ -57,7 +57,7 @@ def test_the_robot_goes_over_to_another_trajectory_without_a_jump_and_its_goal_g
     trajectory = bench.execute(scene=SCENE)
     bench.run(0.3 / speed)
     at = bench.arm.follower.time + 0.1
-    bench.machine.replace("goal-1", 1, from_state(trajectory.at(at)), SCENE, at)
+    bench.machine.replace("goal-1", 1, from_state(trajectory.at(at)), SCENE, at, ())
     bench.run(6.0 / speed)
     ended = bench.machine.changes[-1]
     assert (ended.goal_id, ended.status) == ("goal-1", "succeeded")
@@ -77,7 +77,7 @@ def test_a_driver_that_is_streamed_to_goes_over_without_a_jump(case: Case, tmp_p
     goal = bench.machine.goal_state()
     assert goal is not None
     at = goal.progress * trajectory.duration + 0.3
-    bench.machine.replace("goal", 1, from_state(trajectory.at(at)), SCENE, at)
+    bench.machine.replace("goal", 1, from_state(trajectory.at(at)), SCENE, at, ())
     bench.until("idle")
     assert bench.last().status == "succeeded"
     assert not any(change.hold for change in bench.machine.changes)
@@ -94,7 +94,7 @@ def test_a_goal_that_brakes_before_something_goes_on_along_its_new_trajectory(be
     goal = bench.machine.goal_state()
     assert goal is not None
     assert goal.hold is not None
-    bench.machine.replace("goal-1", 1, from_state(trajectory.at(at)), SCENE, at)
+    bench.machine.replace("goal-1", 1, from_state(trajectory.at(at)), SCENE, at, ())
     bench.run(6.0)
     assert bench.machine.changes[-1].status == "succeeded"
 
@@ -103,7 +103,7 @@ def test_a_new_trajectory_is_followed_only_as_far_as_it_was_checked_until_the_se
     trajectory = bench.execute(scene=SCENE)
     bench.run(0.3)
     at = bench.arm.follower.time + 0.1
-    bench.machine.replace("goal-1", 1, from_state(trajectory.at(at)), SCENE, at, until=1.0)
+    bench.machine.replace("goal-1", 1, from_state(trajectory.at(at)), SCENE, at, (), until=1.0)
     bench.run(4.0)
     goal = bench.machine.goal_state()
     assert goal is not None
@@ -123,7 +123,7 @@ def test_a_goal_that_waits_at_rest_gets_a_trajectory_from_there_and_its_path_tim
     rests = bench.arm.exact.position
     progress = bench.arm.follower.time
     fresh = from_state(np.stack((rests, np.zeros_like(rests), np.zeros_like(rests))))
-    goal = bench.machine.replace("goal-1", 1, fresh, SCENE, Monitor(fresh, ROBOT.descriptor))
+    goal = bench.machine.replace("goal-1", 1, fresh, SCENE, Monitor(fresh, ROBOT.descriptor), ())
     assert (goal.number, goal.trajectory.begin) == (2, progress)
     bench.run(6.0)
     assert bench.machine.changes[-1].status == "succeeded"
@@ -139,14 +139,14 @@ def test_what_comes_too_late_jumps_or_is_for_another_trajectory_is_refused_and_t
     now = bench.arm.follower.time
     replace = bench.machine.replace
     with pytest.raises(ExecutionRefused, match="the robot is committed until"):
-        replace("goal-1", 1, from_state(trajectory.at(now - 0.01)), SCENE, now - 0.01)
+        replace("goal-1", 1, from_state(trajectory.at(now - 0.01)), SCENE, now - 0.01, ())
     with pytest.raises(ExecutionRefused, match="does not begin where"):
-        replace("goal-1", 1, from_state(trajectory.at(now)), SCENE, now + 0.1)
+        replace("goal-1", 1, from_state(trajectory.at(now)), SCENE, now + 0.1, ())
     for goal_id, number in (("goal-1", 2), ("goal-0", 1)):
         with pytest.raises(ExecutionRefused, match="plan from the active one"):
-            replace(goal_id, number, from_state(trajectory.at(now + 0.1)), SCENE, now + 0.1)
+            replace(goal_id, number, from_state(trajectory.at(now + 0.1)), SCENE, now + 0.1, ())
     with pytest.raises(Busy, match="is not waiting at rest"):
-        replace("goal-1", 1, from_state(trajectory.at(now)), SCENE, Monitor(trajectory, ROBOT.descriptor))
+        replace("goal-1", 1, from_state(trajectory.at(now)), SCENE, Monitor(trajectory, ROBOT.descriptor), ())
     bench.run(trajectory.duration + 1.0)
     assert bench.machine.changes[-1].status == "succeeded"
     np.testing.assert_allclose(bench.positions[-1], trajectory.end, atol=1e-9)
@@ -162,4 +162,4 @@ def test_a_goal_that_was_told_to_end_or_to_pause_keeps_its_trajectory(bench: Ben
     else:
         bench.machine.pause(arrival())
     with pytest.raises(Busy, match="is ending or pausing"):
-        bench.machine.replace("goal-1", 1, from_state(trajectory.at(at)), SCENE, at)
+        bench.machine.replace("goal-1", 1, from_state(trajectory.at(at)), SCENE, at, ())

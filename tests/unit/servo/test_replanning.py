@@ -79,7 +79,7 @@ class Peers:
         self.planner: Callable[[], Plan] = lambda: PLAN
         self.executor: Callable[[], None] = lambda: None
         self.measured = Standing()
-        self.world = WorldMonitor(self.measured, Meshes())  # type: ignore[arg-type]
+        self.world = WorldMonitor(self.measured, Meshes(), ROBOT.descriptor)  # type: ignore[arg-type]
         self.world.scene.on_scene("", Scene(revision=SCENE))
         self.lock = threading.Lock()
 

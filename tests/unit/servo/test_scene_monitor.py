@@ -41,8 +41,8 @@ def test_a_scene_is_all_there_is_and_the_last_ones_are_remembered(monitor: Scene
     for edits in range(REMEMBERED + 2):
         monitor.on_scene("", scene(edits, ball(f"ball{edits}")))
     assert set(monitor.snapshot(0.0).objects) == {f"ball{REMEMBERED + 1}"}
-    assert monitor.at(scene(0).revision) is None
-    remembered = monitor.at(scene(REMEMBERED).revision)
+    assert monitor.at(scene(0).revision, ()) is None
+    remembered = monitor.at(scene(REMEMBERED).revision, ())
     assert remembered is not None
     assert set(remembered.objects) == {f"ball{REMEMBERED}"}
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from support.trajectories import ROBOT
 from zarm_contract.messages import Scene
 from zarm_geometry.meshes import Meshes
 from zarm_servo.world.world_monitor import WorldMonitor
@@ -15,7 +16,7 @@ from zarm_servo.world.world_monitor import WorldMonitor
 
 def test_a_part_that_fails_keeps_no_change_from_the_others(caplog: pytest.LogCaptureFixture) -> None:
     measured: Any = SimpleNamespace(get=lambda max_age=1.0: None)
-    world, told = WorldMonitor(measured, Meshes()), []
+    world, told = WorldMonitor(measured, Meshes(), ROBOT.descriptor), []
 
     def fails() -> None:
         raise RuntimeError("it fails")

@@ -8,6 +8,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
+from zarm_contract.messages.gripper import Openings
 from zarm_contract.messages.motion import Joints, Name, NonNegative, Pose, Positive, SequenceNumber, Touch, Trajectory
 from zarm_contract.messages.scene import SceneRevision
 
@@ -65,7 +66,8 @@ class GoalTrajectory(Message):
 
     Sample 0 of `trajectory` is at the path time `start` (s). `scene_revision` is the scene in which it was verified; left out: not verified.
     With `replan` the servo replaces it when something is in its way. `tip` is the pose of a pose goal: any joints that bring the tip
-    there will do. Left out: the joints at the end are the goal. `touches` say where it may touch objects, in path time.
+    there will do. Left out: the joints at the end are the goal. `touches` say where it may touch objects, in path time. `openings` are
+    those of the grippers with which it was verified.
     """
 
     goal_id: Name
@@ -76,6 +78,7 @@ class GoalTrajectory(Message):
     replan: bool = False
     tip: Pose | None = None
     touches: tuple[Touch, ...] = ()
+    openings: Openings = ()
 
 
 class ReplaceTrajectory(Message):
@@ -84,7 +87,7 @@ class ReplaceTrajectory(Message):
     `number` is that of the `GoalTrajectory` that is replaced. The new trajectory begins exactly where that one is at `at`, in position,
     velocity and acceleration, and ends at rest. Without `at` it begins where the robot rests, held by its authority. It was
     verified in the scene `scene_revision`, and is free of moving objects up to its time `until` (s), left out: to its end; the robot goes
-    no further before the servo allows it. The executor refuses it if the robot has passed `at`, is not held
+    no further before the servo allows it. `openings` are those of the grippers with which it was verified. The executor refuses it if the robot has passed `at`, is not held
     (without `at`), or has been told to pause or to end.
     """
 
@@ -94,6 +97,7 @@ class ReplaceTrajectory(Message):
     trajectory: Trajectory
     scene_revision: SceneRevision
     until: NonNegative | None = None
+    openings: Openings = ()
 
 
 class Obstruction(Message):

@@ -9,6 +9,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
 from zarm_contract.messages.goals import Goal, PoseTolerance, TipFrame
+from zarm_contract.messages.gripper import Openings
 from zarm_contract.messages.motion import (
     Joints,
     Name,
@@ -71,7 +72,8 @@ class PlanRequest(Message):
     other request waits. `margin` (m) is the distance to keep from objects, `self_margin` (m) that between the robot's
     own links; left out, it is the descriptor's. Two links that are nearer in nearly all configurations keep the distance that they can. Scales are shares of the velocity and acceleration
     limits. With `optimize_s` 0 the same request, scene and `seed` give the same trajectory. With `publish` false only the
-    requester gets the plan: it is not on `planner/plans`, and cannot be executed by its id.
+    requester gets the plan: it is not on `planner/plans`, and cannot be executed by its id. `openings` are those of the grippers, by
+    default the measured ones, and open before any are measured.
     """
 
     goal: Goal
@@ -89,6 +91,7 @@ class PlanRequest(Message):
     self_margin: Margin | None = None
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     publish: bool = True
+    openings: Openings = ()
 
     @field_validator("start_state")
     @classmethod
@@ -156,8 +159,8 @@ class Plan(Message):
     says which pose of a pose goal that is: 0 is its own, k its k-th alternative. With waypoints it belongs to the last one.
     It is left out if the motion ends at a joint goal. `goal_deviation` says how a goal's tolerance is used: the components
     `[theta_x, theta_y, theta_z, x, y, z]` (rad, m) by which the tip is off that pose, see `PoseTolerance`. `tool` is given for lines,
-    arcs and paths, `segments` for programs, and `touches` where objects may be touched: `clearance` does not count these there. With a
-    `problem` it is the part of a program before the segment that fails, see `ProgramRequest`.
+    arcs and paths, `segments` for programs, and `touches` where objects may be touched: `clearance` does not count these there. It holds
+    for grippers with these `openings`, within 1 mm. With a `problem` it is the part of a program before the segment that fails, see `ProgramRequest`.
     """
 
     plan_id: Name
@@ -171,6 +174,7 @@ class Plan(Message):
     tool: ToolMotion | None = None
     segments: tuple[PlannedSegment, ...] = ()
     touches: tuple[Touch, ...] = ()
+    openings: Openings = ()
     problem: Problem | None = None
     clearance: float
     too_near: tuple[TooNear, ...] = ()

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from zarm_contract._model import Message
 from zarm_contract.messages.goals import Blend, Goal
+from zarm_contract.messages.gripper import Openings
 from zarm_contract.messages.motion import Joints, Name, Scale
 from zarm_contract.messages.planner import Attempts, Margin, Timeout
 
@@ -85,3 +86,4 @@ class ProgramRequest(Message):
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     publish: bool = True
     partial: bool = False
+    openings: Openings = ()

@@ -195,5 +195,5 @@ def _carried_links(model: RobotModel) -> dict[str, tuple[int, Array]]:
             chain = robot.urdf.chain(robot.descriptor.base_link, link)
             moving = tuple(joint.name for joint in chain if joint.type != "fixed")
             if moving and moving == robot.descriptor.joints[: len(moving)]:
-                carried[link] = len(moving) - 1, along(chain)[1]
+                carried[link] = len(moving) - 1, along(chain, {})[1]
     return carried

@@ -11,7 +11,7 @@ from functools import lru_cache
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import Scene, SceneObject
 from zarm_geometry.exact import ExactScene
-from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.robot_model import Openings, RobotModel
 from zarm_geometry.world import World
 from zarm_planner.scene.moved_objects import MovedObjects
 from zarm_planner.scene.planning_scene import PlanningScene
@@ -35,14 +35,16 @@ class SceneCache:
         self._edited: ReadyScene | None = None
         self._world: World | None = None  # the newest world; the next one reuses its unchanged parts
 
-    def prepare(self, scene: Scene) -> None:
+    def prepare(self, scene: Scene, openings: Openings = ()) -> None:
         """Prepare for an edited scene before it takes effect, so that no plan waits for it."""
-        self._with(scene).with_self_margin(0.0)  # measures the clearance between its links, once for all margins
+        self._with(scene, openings).with_self_margin(
+            0.0
+        )  # measures the clearance between its links, once for all margins
         with suppress(Unavailable):  # a mesh file is missing; every plan will report that
-            self._edited = self.ready(scene, self.moved.objects_to_be(scene))
+            self._edited = self.ready(scene, self.moved.objects_to_be(scene), openings)
 
-    def present(self, margin: float, self_margin: float = 0.0) -> PlanningScene:
-        """The present scene with a margin to objects and one between the robot's links (m).
+    def present(self, margin: float, self_margin: float = 0.0, openings: Openings = ()) -> PlanningScene:
+        """The present scene with a margin to objects and one between the robot's links (m), and with grippers at these openings.
 
         Raises Unavailable while the file of one of its meshes is missing.
         """
@@ -50,28 +52,33 @@ class SceneCache:
             scene = self._store.scene
             objects = self.moved.objects(scene)
             known = (
-                ready for ready in (self._ready, self._edited) if ready is not None and ready.holds(scene, objects)
+                ready
+                for ready in (self._ready, self._edited)
+                if ready is not None and ready.holds(scene, objects, openings)
             )
-            ready = self._ready = next(known, None) or self.ready(scene, objects)
+            ready = self._ready = next(known, None) or self.ready(scene, objects, openings)
         return ready.with_margins(margin, self_margin)
 
-    def ready(self, scene: Scene, objects: tuple[SceneObject, ...]) -> ReadyScene:
+    def ready(self, scene: Scene, objects: tuple[SceneObject, ...], openings: Openings = ()) -> ReadyScene:
         """A scene with its `objects` in place, reusing unchanged parts of the last world. Raises Unavailable."""
-        model = self._with(scene)
+        model = self._with(scene, openings)
         world = self._world = World(objects, 0.0, self._store.meshes, self._world)
         prepared = PlanningScene(scene.revision, model, world, ExactScene(model, world))
-        return ReadyScene(objects, prepared, prepared)
+        return ReadyScene(objects, openings, prepared, prepared)
 
-    def _with(self, scene: Scene) -> RobotModel:
+    def _with(self, scene: Scene, openings: Openings) -> RobotModel:
         """The robot with what it carries in a scene."""
-        return self._carriers(scene.carried, scene.ignored_links)
+        return self._carriers(scene.carried, scene.ignored_links, openings)
 
 
 @dataclass
 class ReadyScene:
-    """A scene without margins, with its objects in place; and the same scene with the margins `used` last."""
+    """A scene without margins, with its objects in place and the grippers at these openings; and the same scene with the margins
+    `used` last.
+    """
 
     objects: tuple[SceneObject, ...]
+    openings: Openings
     scene: PlanningScene
     used: PlanningScene
 
@@ -82,7 +89,11 @@ class ReadyScene:
             used = self.used = self.scene.with_margin(margin).with_self_margin(self_margin)
         return used
 
-    def holds(self, scene: Scene, objects: tuple[SceneObject, ...]) -> bool:
-        """Whether it belongs to this scene with exactly these objects."""
-        same = len(objects) == len(self.objects) and all(map(operator.is_, objects, self.objects))
+    def holds(self, scene: Scene, objects: tuple[SceneObject, ...], openings: Openings) -> bool:
+        """Whether it belongs to this scene with exactly these objects and openings."""
+        same = (
+            openings == self.openings
+            and len(objects) == len(self.objects)
+            and all(map(operator.is_, objects, self.objects))
+        )
         return same and scene.revision == self.scene.revision

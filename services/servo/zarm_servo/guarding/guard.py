@@ -227,7 +227,7 @@ class Guard:
         """How far the goal may go if the objects in `moving` are ignored."""
         before = time.perf_counter()
         try:
-            verified = self._world.scene.at(followed.message.scene_revision)
+            verified = self._world.scene.at(followed.message.scene_revision, followed.message.openings)
             return self._checker.validity(
                 followed.trajectory,
                 self._goals.reached(followed, time.monotonic()),

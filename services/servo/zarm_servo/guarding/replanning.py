@@ -234,7 +234,7 @@ class Replanner:
         whether it does.
         """
         now = time.monotonic()
-        scene, verified = self._world.scene.snapshot(now), self._world.scene.at(plan.scene_revision)
+        scene, verified = self._world.scene.snapshot(now), self._world.scene.at(plan.scene_revision, plan.openings)
         trajectory, movers = TimedTrajectory.of(plan.trajectory, self._joints), self._world.moving.of(scene)
         moving = [mover.item.name for mover in movers]
         if self._checker.validity(trajectory, 0.0, scene, verified, moving).until is not None:
@@ -254,6 +254,7 @@ class Replanner:
                 trajectory=plan.trajectory,
                 scene_revision=plan.scene_revision,
                 until=until,
+                openings=plan.openings,
             )
         )
         self._replaced = message

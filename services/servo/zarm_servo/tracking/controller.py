@@ -11,7 +11,7 @@ import numpy as np
 from zarm_contract.messages import Attached
 from zarm_geometry.kernels.situation import nearby
 from zarm_geometry.motion_check import MotionCheck
-from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.robot_model import Openings, RobotModel
 from zarm_geometry.situation import MovingObject, Situation
 from zarm_servo.kernels.step import (
     BLOCKED,
@@ -58,6 +58,7 @@ class Surroundings:
     attached: Sequence[Attached] = ()
     ignored_links: Sequence[str] = ()
     moving: Sequence[MovingObject] = ()
+    openings: Openings = ()
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ class Controller:
 
     def step(self, target: Target | None, age: float, around: Surroundings = Surroundings()) -> Step:
         """The next step towards `target`, which is `age` s old; with None or a STALE target, towards rest."""
-        situation = self._check.situation(around.attached, around.ignored_links, around.moving)
+        situation = self._check.situation(around.attached, around.ignored_links, around.moving, around.openings)
         if target is None or age > STALE:
             wanted, limitation = np.zeros(self._model.dof), Limitation("target_stale")
         else:

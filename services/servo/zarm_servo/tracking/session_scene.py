@@ -88,6 +88,7 @@ class SessionScene:
             attached=around.attached,
             ignored_links=around.ignored_links,
             moving=self._moved(now, 0.0, scale),
+            openings=around.openings,
         )
 
     def is_free(self, start: Array, end: Array, margin: float) -> bool:
@@ -99,6 +100,7 @@ class SessionScene:
             margin=margin,
             attached=self._around.attached,
             ignored_links=self._around.ignored_links,
+            openings=self._around.openings,
             acceleration=np.zeros(len(start)),
         ).free
 
@@ -121,7 +123,7 @@ class SessionScene:
 
     def _load(self) -> None:
         scene, movers = self._seen
-        around = Surroundings(scene.attached, scene.ignored_links)
+        around = Surroundings(scene.attached, scene.ignored_links, openings=scene.openings)
         if len(around.attached) > len(self._around.attached):
             self._around = (
                 around  # an object just attached or detached may be present twice for a moment, but is never missing

@@ -97,9 +97,10 @@ class Checker:
         other objects, nor the robot's own links, which may pass close to each other. The robot brakes along the
         trajectory, so its braking is free wherever the trajectory is. Raises Unavailable if a mesh cannot be read.
         """
-        same = verified is not None and (verified.attached, verified.ignored_links) == (
+        same = verified is not None and (verified.attached, verified.ignored_links, verified.openings) == (
             scene.attached,
             scene.ignored_links,
+            scene.openings,
         )
         before = verified.objects if same and verified is not None else {}
         objects = {
@@ -130,7 +131,7 @@ class Checker:
         positions = trajectory.positions(times)
 
         def first(*grown: MovingObject) -> MotionVerdict:
-            situation = self._scene.motions.situation(scene.attached, scene.ignored_links, grown)
+            situation = self._scene.motions.situation(scene.attached, scene.ignored_links, grown, scene.openings)
             return situation.check(times, positions, margin=CONTACT, self_collision=self_collision)
 
         contact = first()
@@ -163,7 +164,7 @@ class Checker:
         positions = trajectory.positions(times)
 
         def first(places: Sequence[MovingObject]) -> MotionVerdict:
-            situation = self._moving.situation(scene.attached, scene.ignored_links, places)
+            situation = self._moving.situation(scene.attached, scene.ignored_links, places, scene.openings)
             return situation.check(times, positions, margin=CONTACT, self_collision=False)
 
         found = first([place for mover in movers for place in mover.swept(now, stopping, _FINENESS)])

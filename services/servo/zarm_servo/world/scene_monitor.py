@@ -7,7 +7,10 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
+from zarm_contract import messages
 from zarm_contract.messages import Attached, Scene, SceneObject, SceneRevision
+from zarm_geometry.gripper_openings import openings_of
+from zarm_geometry.robot_model import Openings
 
 REMEMBERED = 4
 """Number of past scenes kept, in which a goal may have been verified."""
@@ -20,7 +23,7 @@ class SceneSnapshot:
     """The known scene. `revision` is None before the first scene.
 
     `objects` are by name. They may be newer than the scene, because an object is published before its scene. If `lost`,
-    the planner has restarted without its scene, and the last known one still counts.
+    the planner has restarted without its scene, and the last known one still counts. `openings` are those of the grippers.
     """
 
     revision: SceneRevision | None = None
@@ -28,6 +31,7 @@ class SceneSnapshot:
     attached: tuple[Attached, ...] = ()
     ignored_links: tuple[str, ...] = ()
     lost: bool = False
+    openings: Openings = ()
 
 
 class SceneMonitor:
@@ -48,10 +52,11 @@ class SceneMonitor:
                 self._latest = self._scene
             return self._latest
 
-    def at(self, revision: SceneRevision | None) -> SceneSnapshot | None:
-        """The scene of this revision, if it was seen and is among those kept."""
+    def at(self, revision: SceneRevision | None, openings: messages.Openings) -> SceneSnapshot | None:
+        """The scene of this revision with grippers at these openings, if it was seen and is among those kept."""
         with self._lock:
-            return None if revision is None else self._past.get(revision)
+            scene = None if revision is None else self._past.get(revision)
+        return None if scene is None else replace(scene, openings=openings_of(openings))
 
     def on_object(self, item: SceneObject, now: float) -> None:
         """An object was added or moved; its scene follows."""
@@ -61,6 +66,13 @@ class SceneMonitor:
                 return
             self._latest = replace(before, objects={**before.objects, item.name: item})
             self._early_until = now + EARLY
+        self._changed()
+
+    def on_openings(self, openings: Openings) -> None:
+        """Grippers have moved."""
+        with self._lock:
+            self._scene = replace(self._scene, openings=openings)
+            self._latest = replace(self._latest, openings=openings)
         self._changed()
 
     def on_scene(self, _key: str, scene: Scene) -> None:
@@ -76,7 +88,7 @@ class SceneMonitor:
             objects = {**kept, **{item.name: item for item in scene.obstacles}}
             self._ignored = frozenset(scene.ignored_objects)
             self._scene = self._latest = SceneSnapshot(
-                scene.revision, objects, scene.carried, scene.ignored_links, lost
+                scene.revision, objects, scene.carried, scene.ignored_links, lost, before.openings
             )
             self._past[scene.revision] = self._scene
             self._past.move_to_end(scene.revision)

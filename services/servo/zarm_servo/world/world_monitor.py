@@ -12,6 +12,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from zarm_contract.keys import Keys
 from zarm_contract.messages import ExecutorState, GoalState, GoalTrajectory, JointState, Message, SceneObject
+from zarm_contract.robot import RobotDescriptor
+from zarm_geometry.gripper_openings import GripperOpenings
 from zarm_geometry.meshes import Meshes
 from zarm_runtime.bus import Bus, Latest
 from zarm_servo.world.moving_objects import MovingObjects
@@ -34,7 +36,7 @@ class WorldMonitor:
     keep the others from being called.
     """
 
-    def __init__(self, measured: Latest[JointState], meshes: Meshes) -> None:
+    def __init__(self, measured: Latest[JointState], meshes: Meshes, descriptor: RobotDescriptor) -> None:
         self.measured = measured
         self.on_change: list[Callable[[], object]] = []
         self.on_move: list[Callable[[], object]] = []
@@ -43,11 +45,14 @@ class WorldMonitor:
         self.on_trajectory: list[Callable[[GoalTrajectory], object]] = []
         self.planner_gone = False
         self.scene = SceneMonitor(lambda: _call(self.on_change))
+        self.grippers = GripperOpenings(descriptor, lambda: self.scene.on_openings(self.grippers.present()))
+        self.scene.on_openings(self.grippers.present())
         self.moving = MovingObjects(self.scene, meshes, lambda: _call(self.on_move))
 
     @contextmanager
     def reading(self, bus: Bus, keys: Keys) -> Iterator[None]:
         """Read the bus in this block."""
+        bus.watch(keys.gripper_state("*"), self.grippers.receive)
         bus.watch(keys.scene, self.scene.on_scene)
         bus.listen(keys.scene_object("*"), self._on_object)
         bus.watch(keys.executor_state, lambda _, state: _call(self.on_state, state))

@@ -1,0 +1,126 @@
+"""The grippers of a robot: they open, close, and hold what is between their pads."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator
+from contextlib import suppress
+
+from zarm.calls import Calls
+from zarm.live import live
+from zarm.values import made
+from zarm_contract.errors import Cancelled, InvalidRequest, Unavailable, from_problem
+from zarm_contract.messages import GripperCancel, GripperRequest, GripperState
+
+SILENCE = 10.0
+"""s without news of a moving gripper after which its executor counts as gone."""
+
+OnProgress = Callable[[GripperState], object]
+
+
+class Gripper(Calls):
+    """Commands to the grippers of a robot, and their states. `gripper` names one; a robot's only one needs no name."""
+
+    def open(
+        self,
+        gripper: str | None = None,
+        *,
+        force: float | None = None,
+        speed: float | None = None,
+        preempt: bool = False,
+        on_progress: OnProgress | None = None,
+    ) -> GripperState:
+        """Open a gripper as far as it goes; otherwise as `move`."""
+        width = self.state(gripper).widths[1]
+        return self.move(width, gripper, force=force, speed=speed, preempt=preempt, on_progress=on_progress)
+
+    def close(
+        self,
+        gripper: str | None = None,
+        *,
+        force: float | None = None,
+        speed: float | None = None,
+        preempt: bool = False,
+        on_progress: OnProgress | None = None,
+    ) -> GripperState:
+        """Close a gripper until it is closed or something stops the fingers; otherwise as `move`."""
+        width = self.state(gripper).widths[0]
+        return self.move(width, gripper, force=force, speed=speed, preempt=preempt, on_progress=on_progress)
+
+    def move(
+        self,
+        width: float,
+        gripper: str | None = None,
+        *,
+        force: float | None = None,
+        speed: float | None = None,
+        preempt: bool = False,
+        on_progress: OnProgress | None = None,
+    ) -> GripperState:
+        """Move a gripper until it is `width` m open, and wait until the fingers stand. Returns its state: `reached`, or
+        `stalled` if something stops them before, usually what they hold.
+
+        `force` (N) and `speed` (m/s) are by default the greatest. While the gripper moves for another goal this raises Busy, unless
+        `preempt` ends that one. Ctrl-C stops the fingers where they are.
+
+        Raises InvalidRequest for a gripper that is not there or a width out of its range, ExecutionFailed if it does not move,
+        and Cancelled if another client stopped it.
+        """
+        request = made(GripperRequest, gripper=gripper, width=width, force=force, speed=speed, preempt=preempt)
+        goal_id = self._ask(self._keys.gripper, request).goal_id
+        try:
+            last = self._followed(goal_id, gripper, on_progress)
+        except BaseException:
+            with suppress(Unavailable):
+                self.cancel(gripper)
+            raise
+        if last.goal_id != goal_id:
+            raise Cancelled(f"{last.goal_id} took the place of this goal of {last.gripper}")
+        if last.problem is not None:
+            raise from_problem(last.problem)
+        return last
+
+    def cancel(self, gripper: str | None = None) -> GripperState:
+        """Stop a gripper where it is; what it holds, it goes on holding."""
+        return self._ask(self._keys.gripper_cancel, made(GripperCancel, gripper=gripper))
+
+    def state(self, gripper: str | None = None) -> GripperState:
+        """The present state of a gripper. Raises InvalidRequest for one that is not there."""
+        try:
+            return self.connection.read(self._keys.gripper_state(gripper or "*"))
+        except Unavailable:
+            self.connection.read(self._keys.executor_state)  # nothing else is wrong
+            raise InvalidRequest(self._missing(gripper), field="gripper") from None
+
+    def _missing(self, gripper: str | None) -> str:
+        try:
+            known = self.connection.read(self._keys.gripper_state("*")).gripper
+        except Unavailable:
+            return f"{self.name} has no gripper; describe it in `grippers` of its descriptor"
+        return f"{self.name} has no gripper {gripper}, but {known}; name that one"
+
+    def states(self, gripper: str | None = None) -> Generator[GripperState]:
+        """The present state of a gripper, then every change; endless."""
+        return self.connection.latched(self._keys.gripper_state(gripper or "*"))
+
+    def _followed(self, goal_id: str, gripper: str | None, on_progress: OnProgress | None) -> GripperState:
+        reported_at = time.monotonic()
+
+        def check() -> None:
+            self.connection.bus.check_open()
+            if time.monotonic() - reported_at > SILENCE:
+                raise Unavailable(
+                    f"the executor of {self.name} has reported nothing about the gripper for {SILENCE:g} s; see `zarm status`"
+                )
+
+        def subscribe(emit: Callable[[GripperState], None]) -> Callable[[], None]:
+            bus, key = self.connection.bus, self._keys.gripper_state(gripper or "*")
+            return self.connection.interrupts.run_interruptibly(lambda: bus.watch(key, lambda _, state: emit(state)))
+
+        for state in live(subscribe, self.connection.interrupts, check):
+            reported_at = time.monotonic()
+            if state.goal_id == goal_id and on_progress is not None:
+                on_progress(state)
+            if state.goal_id != goal_id or state.done:
+                break
+        return state

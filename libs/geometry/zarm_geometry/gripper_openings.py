@@ -1,0 +1,70 @@
+"""The measured openings of the grippers, as collision geometry takes them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from zarm_contract import messages
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import GripperOpening, GripperState
+from zarm_contract.robot import RobotDescriptor
+from zarm_geometry.robot_model import Openings
+
+_DECIMALS = 3
+"""Openings are rounded to 1 mm, so that the noise of a measurement does not make a new model of the robot."""
+
+
+class GripperOpenings:
+    """The openings of a robot's grippers: as published by the executor, and open until then. Thread-safe.
+
+    Calls `changed()` after every change.
+    """
+
+    def __init__(self, descriptor: RobotDescriptor, changed: Callable[[], object] = lambda: None) -> None:
+        self._grippers = descriptor.grippers
+        self._changed = changed
+        self._lock = threading.Lock()
+        self._openings = {name: gripper.open for name, gripper in self._grippers.items()}
+
+    def receive(self, _key: str, state: GripperState) -> None:
+        """Take what the executor publishes."""
+        if state.width is None or state.gripper not in self._grippers:
+            return
+        width = round(state.width, _DECIMALS)
+        with self._lock:
+            if self._openings[state.gripper] == width:
+                return
+            self._openings = {**self._openings, state.gripper: width}
+        self._changed()
+
+    def present(self) -> Openings:
+        """The openings now."""
+        return tuple(sorted(self._openings.items()))
+
+    def chosen(self, given: messages.Openings) -> Openings:
+        """The openings that a request gives, and for the other grippers those of now. Raises InvalidRequest."""
+        openings = {opening.gripper: opening.width for opening in given}
+        for i, (name, width) in enumerate(openings.items()):
+            gripper = self._grippers.get(name)
+            if gripper is None:
+                known = ", ".join(self._grippers) or "none"
+                raise InvalidRequest(
+                    f"there is no gripper {name}; this robot has {known}", field=f"openings.{i}.gripper"
+                )
+            if not gripper.closed <= width <= gripper.open:
+                raise InvalidRequest(
+                    f"{name} cannot open {width:g} m; give {gripper.closed:g} to {gripper.open:g}",
+                    field=f"openings.{i}.width",
+                )
+        return tuple((name, round(openings.get(name, width), _DECIMALS)) for name, width in self.present())
+
+
+def openings_of(given: messages.Openings) -> Openings:
+    """Openings of a message."""
+    return tuple(sorted((opening.gripper, opening.width) for opening in given))
+
+
+def openings_message(openings: Openings) -> messages.Openings:
+    """Openings as a message."""
+    return tuple(GripperOpening(gripper=name, width=width) for name, width in openings)
