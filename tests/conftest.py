@@ -20,7 +20,7 @@ SHARED = frozenset(("shared", "up"))
 """What the fixtures of a package that start something are called."""
 
 settings.register_profile("quick", deadline=None, max_examples=10)  # nothing timed is asserted: machines differ
-settings.register_profile("full", deadline=None, max_examples=50)
+settings.register_profile("full", deadline=None, max_examples=30)
 settings.load_profile("quick")
 
 

@@ -23,6 +23,7 @@ from zarm_ros_bridge.convert.driver_joints import DriverJointStates
 from zarm_ros_bridge.convert.trajectories import ros_joint_trajectory
 from zarm_ros_bridge.driver_progress import ProgressReader
 from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.gripper_driver import GripperDriver
 from zarm_ros_bridge.ros import Ros
 from zarm_ros_bridge.standing import Standing
 from zarm_runtime.expiry import Expiry
@@ -43,7 +44,7 @@ class Drivers:
     While a robot stands, joint states are forwarded at the rate of `Standing`.
 
     Whole trajectories go to the controller's action, if it has one: `controller` is the participant for that. Where nobody serves the
-    action, but somebody listens to the topic, they go there.
+    action, but somebody listens to the topic, they go there. Commands to grippers go to the actions of their controllers.
 
     Unreadable driver messages are dropped; each kind of fault is logged once. The executor then hears nothing, and
     stops the robot. A driver may start late, leave, and return. DDS discovers each direction separately: joint states
@@ -61,7 +62,17 @@ class Drivers:
         self._whole = False  # whether commands are whole trajectories, which the action takes
         if self._action is not None:
             engine.bus.watch(keys.executor_state, self._on_state)
-        self._reports = DriverJointStates(params.joint_states_order or engine.joints, engine.joints)
+        grippers = engine.robot.descriptor.grippers
+        self._reports = DriverJointStates(
+            params.joint_states_order or engine.joints,
+            engine.joints,
+            [gripper.joint for gripper in grippers.values()],
+        )
+        self._grippers = [
+            GripperDriver(controller, engine, name, gripper.action)
+            for name, gripper in grippers.items()
+            if gripper.action is not None and controller is not None
+        ]
         self._topic = params.joint_states_topic
         self._complaints: set[str] = set()
         self._progress = ProgressReader()

@@ -22,6 +22,7 @@ from zarm_geometry.frames import matrix, pose_of
 from zarm_ros_bridge.convert.joints import known_as
 from zarm_ros_bridge.convert.times import NANOSECONDS
 from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.grippers import Grippers
 from zarm_ros_bridge.link_frames import LinkFrames
 from zarm_ros_bridge.ros import Ros
 from zarm_ros_bridge.transforms import HISTORY, Transforms, UnknownFrame
@@ -42,9 +43,9 @@ _STATES = 5000  # most joint states in HISTORY
 class Frames:
     """Looks up frames. Thread-safe."""
 
-    def __init__(self, ros: Ros, engine: Engine) -> None:
+    def __init__(self, ros: Ros, engine: Engine, grippers: Grippers) -> None:
         self._engine = engine
-        self.links = LinkFrames(engine.robot)
+        self.links = LinkFrames(engine.robot, grippers.positions)
         self._published = Transforms()
         self._on_moving: Callable[[Sequence[Any]], None] = lambda _: None
         self._history = _JointHistory(engine)

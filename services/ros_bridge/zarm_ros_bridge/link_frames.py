@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,12 @@ Array = NDArray[np.float64]
 class LinkFrames:
     """Forward kinematics of every link, also of those that the descriptor does not name.
 
-    Joints that are not in the descriptor stand at 0, or at the limit that is nearest to it; mimic joints follow theirs.
+    Joints that are not in the descriptor stand where `others` says, else at 0 or at the limit that is nearest to it; mimic joints
+    follow theirs.
     """
 
-    def __init__(self, robot: RobotDescription) -> None:
+    def __init__(self, robot: RobotDescription, others: Callable[[], Mapping[str, float]] = dict) -> None:
+        self._others = others
         self.base = robot.descriptor.base_link
         self.links = robot.urdf.links
         self._joints = robot.descriptor.joints
@@ -29,7 +31,7 @@ class LinkFrames:
 
     def edges(self, position: Sequence[float]) -> Iterator[tuple[Joint, Array]]:
         """Each joint, and the pose (4, 4) of its child in the frame of its parent, at the `position` of the descriptor's joints."""
-        values = dict(zip(self._joints, position, strict=True))
+        values = {**self._others(), **dict(zip(self._joints, position, strict=True))}
         for child, joint in self._of_child.items():
             yield joint, self._origins[child] @ _motion(joint, self._value(joint, values))
 

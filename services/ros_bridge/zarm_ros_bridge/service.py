@@ -19,6 +19,8 @@ from zarm_ros_bridge.faults import Faults
 from zarm_ros_bridge.frames import Frames
 from zarm_ros_bridge.generations.c import GenerationC
 from zarm_ros_bridge.generations.installed import installed
+from zarm_ros_bridge.gripper_actions import GripperActions
+from zarm_ros_bridge.grippers import Grippers
 from zarm_ros_bridge.kinematics import Kinematics
 from zarm_ros_bridge.motions import Motions
 from zarm_ros_bridge.moveit.move_group import NODE as MOVE_GROUP
@@ -69,7 +71,8 @@ def start(service: Service) -> Iterator[None]:
         motions = Motions(engine, parameters)
         turns = Turns(engine, lambda: bool(parameters.value("preempt")))
         colours: dict[str, Colour] = {}
-        frames = Frames(ros, engine)
+        grippers = Grippers(engine)
+        frames = Frames(ros, engine, grippers)
         Planning(ros, engine, parameters, motions, generation)
         Kinematics(ros, engine, generation)
         Faults(ros, engine)
@@ -78,7 +81,7 @@ def start(service: Service) -> Iterator[None]:
             Drivers(ros, controller, engine, params)
         WorldFile(engine, parameters)
         additions = isinstance(generation, GenerationC)
-        topics = Topics(ros, engine, colours, obstacles=("~/obstacles", "~/scene_obstacles")[: 1 + additions])
+        topics = Topics(ros, engine, grippers, colours, obstacles=("~/obstacles", "~/scene_obstacles")[: 1 + additions])
         if additions:
             Additions(ros, engine, motions, topics.show_spheres)
         else:
@@ -95,6 +98,7 @@ def start(service: Service) -> Iterator[None]:
         ):
             ExecutionActions(ros, engine, parameters, motions, generation, servers, turns)
             TrajectoryAction(ros, engine, frames, servers)
+            GripperActions(ros, engine, servers)
             if moveit is not None:
                 serving.enter_context(
                     move_group(moveit, engine, frames, servers, turns, colours, servo_commands, service.options.group)
@@ -114,7 +118,8 @@ def _participants(service: Service, namespace: str) -> Iterator[tuple[Ros | None
         moveit = controller = None
         if service.options.moveit:
             moveit = stack.enter_context(Ros(MOVE_GROUP, namespace, workers=MOVE_GROUP_WORKERS, parameters=True))
-        if params is not None and params.action is not None:
+        actions = [gripper.action for gripper in service.robot.descriptor.grippers.values()]
+        if params is not None and any((params.action, *actions)):
             controller = stack.enter_context(Ros(f"_{NODE}_controller", namespace, workers=0))
         yield moveit, controller
 

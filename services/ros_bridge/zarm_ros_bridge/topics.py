@@ -17,6 +17,7 @@ from zarm_ros_bridge.convert.markers import obstacle_markers, sphere_markers
 from zarm_ros_bridge.convert.trajectories import ros_joint_trajectory
 from zarm_ros_bridge.description import shown_description
 from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.grippers import Grippers
 from zarm_ros_bridge.relay import DEPTH, Relay
 from zarm_ros_bridge.ros import LATCHED, Ros
 from zarm_runtime.publications import deliver
@@ -30,7 +31,9 @@ class Topics:
     take an emulated robot for the real one. Use it in `with`.
     """
 
-    def __init__(self, ros: Ros, engine: Engine, colours: dict[str, Colour], *, obstacles: Sequence[str]) -> None:
+    def __init__(
+        self, ros: Ros, engine: Engine, grippers: Grippers, colours: dict[str, Colour], *, obstacles: Sequence[str]
+    ) -> None:
         self._engine = engine
         self._colours = colours
         self._emulated = False
@@ -55,7 +58,9 @@ class Topics:
         bus.listen(keys.plans, self._plan)
         robot = {"emulator/joint_states": lambda: self._emulated} | ({} if reported else {own: lambda: True})
         self._relays = [
-            Relay(node, bus, key, JointState, RosJointState, ros_joint_state, topics)
+            Relay(
+                node, bus, key, JointState, RosJointState, lambda state: ros_joint_state(grippers.beside(state)), topics
+            )
             for key, topics in (
                 (keys.joint_states, robot),
                 (keys.preview_joint_states, {"preview/joint_states": lambda: True}),

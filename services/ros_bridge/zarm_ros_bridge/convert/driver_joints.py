@@ -24,15 +24,16 @@ _FRAME = _BODY + _STAMP.size
 
 
 class DriverJointStates:
-    """Reads serialized messages of one driver: states of `joints`; `unnamed` are those of a message without names, by
-    index.
+    """Reads serialized messages of one driver: states of `joints`, and of `optional` ones where they are there; `unnamed` are those
+    of a message without names, by index.
 
     rclpy takes 0.15 ms of CPU to build a Python message, mostly for what never changes: frame and names. These are read
     from the first message, and only the numbers from later ones, as long as all bytes before them are the same.
     """
 
-    def __init__(self, unnamed: Sequence[str], joints: Sequence[str]) -> None:
+    def __init__(self, unnamed: Sequence[str], joints: Sequence[str], optional: Sequence[str] = ()) -> None:
         self._unnamed = unnamed
+        self._optional = optional
         self._joints = joints
         self._layout: _Layout | None = None
 
@@ -41,7 +42,7 @@ class DriverJointStates:
         state = None if self._layout is None else self._layout.read(message)
         if state is None:
             whole = deserialize_message(message, RosJointState)
-            state = driver_joint_state(whole, self._unnamed, self._joints)
+            state = driver_joint_state(whole, self._unnamed, self._joints, self._optional)
             self._layout = _Layout.of(message, whole, state.joint_names, self._unnamed)
         return state
 

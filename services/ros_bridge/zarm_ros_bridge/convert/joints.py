@@ -58,9 +58,11 @@ def is_empty(message: RosJointState) -> bool:
     return not message.name and not len(message.position)
 
 
-def driver_joint_state(message: RosJointState, unnamed: Sequence[str], joints: Sequence[str]) -> JointState:
-    """A driver's joint states: those of `joints`, in this order, ignoring others; without names, those of `unnamed` by
-    index.
+def driver_joint_state(
+    message: RosJointState, unnamed: Sequence[str], joints: Sequence[str], optional: Sequence[str] = ()
+) -> JointState:
+    """A driver's joint states: those of `joints`, and of the `optional` ones that are there, ignoring others; without names, those
+    of `unnamed` by index.
 
     Missing velocities, or ones that are not finite, become 0, since some drivers report none. A stamp of 0 means now.
     Raises InvalidRequest, which names the field, for what cannot be read.
@@ -71,7 +73,7 @@ def driver_joint_state(message: RosJointState, unnamed: Sequence[str], joints: S
     for field, values in (("position", position), ("velocity", velocity)):
         if len(values) != len(names):
             raise InvalidRequest(f"{len(values)} values for {len(names)} joints", field=field)
-    reported = sorted(joints, key=places.__getitem__)
+    reported = sorted((*joints, *(joint for joint in optional if joint in places)), key=places.__getitem__)
     if not all(math.isfinite(position[places[joint]]) for joint in reported):
         raise InvalidRequest("a position is not finite; the driver must tell where each joint is", field="position")
     stamp = message.header.stamp
