@@ -30,9 +30,9 @@ class Contacts:
         self.q = np.random.default_rng(0).uniform(self.lower, self.upper, (SAMPLES, len(limits)))
         self.poses = chain.poses(self.q)
         self.body = {mounted.link: mounted.body for mounted in chain.mounted}
-        self._whole = {surface.link: _object(surface.triangles) for surface in surfaces}
+        self._whole = {surface.link: mesh_object(surface.triangles) for surface in surfaces}
         self._collision = {
-            surface.link: _object(surface.shells["collision"]) for surface in surfaces if surface.kind == "both"
+            surface.link: mesh_object(surface.shells["collision"]) for surface in surfaces if surface.kind == "both"
         }
 
     def drop_visual(self, link: str) -> None:
@@ -70,7 +70,8 @@ class Contacts:
         return placed
 
 
-def _object(triangles: Array) -> Any:
+def mesh_object(triangles: Array) -> Any:
+    """Triangles (n, 3, 3) for FCL."""
     mesh = fcl.BVHModel()
     mesh.beginModel(len(triangles), 3 * len(triangles))
     mesh.addSubModel(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))

@@ -18,6 +18,7 @@ from zarm_robot_import.chain import choose_chain
 from zarm_robot_import.contacts import Contacts
 from zarm_robot_import.description import describe
 from zarm_robot_import.fitting import fit
+from zarm_robot_import.gripper import find_gripper
 from zarm_robot_import.home import choose_home
 from zarm_robot_import.inertia import unphysical
 from zarm_robot_import.limits import limits_of
@@ -141,18 +142,19 @@ def _imported(
         progress(f"geometry of {link}", 0.2 + 0.5 * fitted_links / len(surfaces))
 
     fitted = fit(surfaces, options.spheres, contacts.body, counted)
+    gripper = find_gripper(robot, chain, surfaces, options.fixed)
     meshes = {surface.link: surface.triangles for surface in surfaces}
-    (work / f"{name}.urdf").write_text(urdf_text(robot, chain, limits, folder), encoding="utf-8")
+    (work / f"{name}.urdf").write_text(urdf_text(robot, chain, limits, folder, gripper), encoding="utf-8")
     descriptor = work / f"{name}.yaml"
 
     def write(home: Sequence[float], pairs: Sequence[Pair]) -> RobotModel:
-        text = descriptor_text(name, file, chain, limits, fitted, home, pairs, controller)
+        text = descriptor_text(name, file, chain, limits, fitted, home, pairs, controller, gripper)
         descriptor.write_text(text, encoding="utf-8")
         return RobotModel.of(load_robot(str(descriptor)))
 
     middle = [min(max(0.0, limit.lower), limit.upper) for limit in limits]
     progress("pairs of links", 0.7)
-    pairs = Pairs(contacts, fitted).judged()
+    pairs = Pairs(contacts, fitted, {} if gripper is None else gripper.travel).judged()
     progress("home", 0.9)
     home = choose_home(write(middle, pairs))
     model = write(home, pairs)
@@ -171,6 +173,7 @@ def _imported(
         [*left_out, *suspect, *robot.notes],
         time.process_time() - begun,
         controller,
+        gripper,
     )
     (work / f"{name}.md").write_text(report.markdown(), encoding="utf-8")
     return descriptor.name, report

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from zarm_robot_import.chain import Chain
 from zarm_robot_import.fitting import Fitted
+from zarm_robot_import.gripper import ImportedGripper
 from zarm_robot_import.limits import FASTEST, SMALLEST, WIDEST, JointLimits
 from zarm_robot_import.meshes import Surface
 from zarm_robot_import.self_collision import Pair
@@ -31,6 +32,25 @@ class Report:
     notes: Sequence[str]
     seconds: float
     controller: str | None = None
+    gripper: ImportedGripper | None = None
+
+    @property
+    def standing(self) -> list[tuple[str, float]]:
+        """Joints outside of the arm that stand, and where."""
+        gripper = self.gripper
+        moving = () if gripper is None else (gripper.joint.name, *gripper.followers)
+        return [(name, value) for name, value in self.chain.fixed if name not in moving]
+
+    def opening(self) -> str:
+        """What is known of the gripper, in a sentence."""
+        gripper = self.gripper
+        if gripper is None:
+            return "They stand fixed: they have several drives, or were fixed, or what they move does not open."
+        follow = f", followed by {', '.join(f'`{name}`' for name in gripper.followers)}" if gripper.followers else ""
+        return (
+            f"`{gripper.joint.name}` drives it{follow}; it opens from {1e3 * gripper.widths[0]:.0f} to {1e3 * gripper.widths[-1]:.0f} mm, "
+            f"measured between the meshes of {' and '.join(f'`{pad}`' for pad in gripper.pads)}."
+        )
 
     @property
     def warnings(self) -> list[str]:
@@ -77,12 +97,12 @@ class Report:
             f"The arm's joints: {', '.join(f'`{joint.name}`' for joint in chain.joints)}. {chain.reason}",
         ]
         if chain.gripper:
-            lines += ["", f"Taken as a gripper: {', '.join(f'`{name}`' for name in chain.gripper)}."]
-        if chain.fixed:
+            lines += ["", f"Taken as a gripper: {', '.join(f'`{name}`' for name in chain.gripper)}. {self.opening()}"]
+        if self.standing:
             lines += [
                 "",
                 "Joints outside the chain, fixed: "
-                + ", ".join(f"`{name}` at {value:g}" for name, value in chain.fixed)
+                + ", ".join(f"`{name}` at {value:g}" for name, value in self.standing)
                 + ".",
             ]
         if self.controller:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -41,10 +41,14 @@ class Pair:
 
 
 class Pairs:
-    """The links of an arm with their exact geometry and covers."""
+    """The links of an arm with their exact geometry and covers.
 
-    def __init__(self, contacts: Contacts, fitted: Sequence[Fitted]) -> None:
+    `travel` is how far (m) a gripper moves its links; the configurations have it at one opening.
+    """
+
+    def __init__(self, contacts: Contacts, fitted: Sequence[Fitted], travel: Mapping[str, float]) -> None:
         self._contacts = contacts
+        self._travel = travel
         self._fitted = {link.link: link for link in sorted(fitted, key=lambda link: contacts.body[link.link])}
         self._parts = {
             link.link: [link_shape(link.link, primitive) for primitive in link.primitives] for link in fitted
@@ -127,9 +131,10 @@ class Pairs:
         """The decision for two links that touched in no configuration."""
         least = self._nearest(first, second, near, bare)
         share = f"their {what} met in none of {SAMPLES} configurations (less than {300 / SAMPLES:.2g} % of all, with 95 % confidence)"
-        if least > CLEAR:
+        travel = self._travel.get(first, 0.0) + self._travel.get(second, 0.0)
+        if least > CLEAR + travel:
             return Pair(first, second, True, f"{share}, and come no nearer than {1e3 * least:.0f} mm")
-        if least > 0.0 and all(self._overlap(first, second, k) for k in range(_CROWD)):
+        if least > 0.0 and not travel and all(self._overlap(first, second, k) for k in range(_CROWD)):
             contained = f"they come as near as {1e3 * least:.1f} mm, but what contains them always overlaps"
             return Pair(first, second, True, f"{share}; {contained}")
         return Pair(first, second, False, f"{share}, but come as near as {1e3 * least:.1f} mm")

@@ -7,7 +7,7 @@ import os
 import re
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from zarm_contract.robot import CollisionPrimitive
 from zarm_robot_import.chain import Chain
 from zarm_robot_import.description import Description
 from zarm_robot_import.fitting import Fitted
+from zarm_robot_import.gripper import ImportedGripper
 from zarm_robot_import.limits import JointLimits
 from zarm_robot_import.self_collision import Pair
 
@@ -27,8 +28,10 @@ _PLAIN = re.compile(r"[A-Za-z_][\w.-]*", re.ASCII)
 _WORDS = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
 
 
-def urdf_text(robot: Description, chain: Chain, limits: Sequence[JointLimits], folder: Path) -> str:
-    """The arm as a URDF for a file in `folder`: its links as in the source, and only its joints move."""
+def urdf_text(
+    robot: Description, chain: Chain, limits: Sequence[JointLimits], folder: Path, gripper: ImportedGripper | None
+) -> str:
+    """The arm as a URDF for a file in `folder`: its links as in the source; only its joints move, and those of its gripper."""
     root = ET.Element("robot", name=robot.name)
     root.append(ET.Comment(f" Made by zarm robot import from {_shown(robot.source.path)}. "))
     for mounted in chain.mounted:
@@ -50,9 +53,12 @@ def urdf_text(robot: Description, chain: Chain, limits: Sequence[JointLimits], f
         ET.SubElement(element, "limit", bounds | {"velocity": f"{limit.velocity:.9g}", "effort": effort})
         root.append(element)
     names = {joint.name for joint in chain.joints}
+    if gripper is not None:
+        root.extend(_gripper_joints(robot, chain, gripper))
+        names |= {element.get("name", "") for element in root.findall("joint")}
     for mounted in chain.mounted:
         carrier = chain.carriers[mounted.body]
-        if mounted.link != carrier:
+        if mounted.link != carrier and (gripper is None or mounted.link not in gripper.moving):
             name = f"{mounted.link}_fixed"
             while name in names:
                 name += "_"
@@ -60,6 +66,30 @@ def urdf_text(robot: Description, chain: Chain, limits: Sequence[JointLimits], f
             root.append(_joint(name, "fixed", carrier, mounted.link, mounted.pose))
     ET.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _gripper_joints(robot: Description, chain: Chain, gripper: ImportedGripper) -> Iterator[ET.Element]:
+    """The joint of each link that moves with the gripper."""
+    stands = dict(chain.fixed)
+    for link in gripper.moving:
+        joint = robot.joint_of_child[link]
+        follows = gripper.followers.get(joint.name)
+        if joint.name != gripper.joint.name and follows is None:
+            yield _joint(joint.name, "fixed", joint.parent, link, joint.moved(stands.get(joint.name, 0.0)))
+            continue
+        element = _joint(joint.name, joint.type, joint.parent, link, joint.origin)
+        ET.SubElement(element, "axis", xyz=_numbers(joint.axis))
+        low, high = sorted((gripper.positions[0], gripper.positions[-1]))
+        if follows is not None:
+            multiplier, offset = follows
+            low, high = sorted((multiplier * low + offset, multiplier * high + offset))
+            ET.SubElement(
+                element, "mimic", joint=gripper.joint.name, multiplier=f"{multiplier:.12g}", offset=f"{offset:.12g}"
+            )
+        if joint.type != "continuous":
+            numbers = {"lower": low, "upper": high, "velocity": joint.velocity or 0.0, "effort": joint.effort or 0.0}
+            ET.SubElement(element, "limit", {key: f"{value:.9g}" for key, value in numbers.items()})
+        yield element
 
 
 def _joint(name: str, kind: str, parent: str, child: str, origin: Array) -> ET.Element:
@@ -86,6 +116,7 @@ def descriptor_text(
     home: Sequence[float],
     pairs: Sequence[Pair],
     controller: str | None = None,
+    gripper: ImportedGripper | None = None,
 ) -> str:
     """The descriptor. `controller` is the ros2_control trajectory controller that moves the arm."""
     assumed = sorted({what for limit in limits for what in limit.assumed})
@@ -113,6 +144,7 @@ def descriptor_text(
         "",
         "strategy: emulator",
         *(_driver(controller) if controller else ()),
+        *(_gripper(gripper) if gripper is not None else ()),
         "",
         "# Exact geometry: it contains the whole surface of the meshes.",
         "collision:",
@@ -141,6 +173,25 @@ def _driver(controller: str) -> list[str]:
         "  joint_states_topic: /joint_states",
         "  strategies: [joint_trajectory]",
     ]
+
+
+def _gripper(gripper: ImportedGripper) -> list[str]:
+    lines = [
+        "",
+        "# Behind the arm one joint moves fingers. The openings are measured between the meshes of the pads; correct them where the pads are",
+        "# shaped, and state the speed (m/s) and force (N) of the gripper.",
+        "grippers:",
+        "  gripper:",
+        f"    joint: {plain(gripper.joint.name)}",
+        f"    positions: {_list(gripper.positions)}",
+        f"    widths: {_list(gripper.widths)}",
+        f"    pads: [{', '.join(map(plain, gripper.pads))}]",
+    ]
+    if speed := gripper.speed:
+        lines.append(f"    speed: {speed:.3g}")
+    if gripper.joint.type == "prismatic" and gripper.joint.effort:
+        lines.append(f"    force: {gripper.joint.effort:.9g}")
+    return lines
 
 
 def plain(text: str) -> str:

@@ -38,6 +38,8 @@ ARMS = {
     "unimation_puma560": ("rtb-data", "rtbdata/xacro/unimation_puma560_description/urdf/puma560_robot.urdf"),
     "universal_ur5e": ("airo-models", "airo_models/arms/ur5e/ur5e.urdf"),
 }
+GRIPPERS = {"franka_fr3": 0.08, "kinova_gen3": 0.085}
+"""How far those of them open that have a gripper with one drive (m): the Franka Hand, and Robotiq's 2F-85."""
 MEAN, MOST = 0.005, 0.015
 """The exact geometry stands out of the meshes by less than this (m)."""
 MOTIONS = 3
@@ -57,6 +59,10 @@ def test_an_arm_is_imported_and_its_motions_touch_nothing_on_the_original_meshes
     assert out.mean < MEAN
     assert out.most < MOST
     assert report.spheres <= 80
+    grippers = load_robot(str(descriptor)).descriptor.grippers
+    assert {name: gripper.open for name, gripper in grippers.items()} == (
+        {"gripper": pytest.approx(GRIPPERS[name], abs=5e-4)} if name in GRIPPERS else {}
+    )
 
     model = RobotModel.of(load_robot(str(descriptor)))
     assert findings(model.robot) == []
