@@ -25,18 +25,18 @@ define run_tests
 @$(PYTEST) --cache-clear $(1) $(2) || { [ $$? = 1 ] && echo "== what failed, once more" && $(PYTEST) $(1) $(if $(2),--numprocesses=1) --last-failed; }
 endef
 
-# Every promise once. Tests mostly wait for robots, so two cores can run four at a time; timed tests run alone. Without the ROS
-# bridge its tests are skipped, and say so.
+# Every promise once. Tests mostly wait for robots, so two cores can run four at a time, and timed tests two. Without the ROS bridge its
+# tests are skipped, and say so.
 test: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
 	$(call run_tests,-m "not slow and not timed",--numprocesses=4)
-	$(call run_tests,-m "timed and not slow")
+	$(call run_tests,-m "timed and not slow",--numprocesses=2)
 
 # Every test, also the slow ones that `make test` skips, with more examples of each property.
 test-all: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
 	$(call run_tests,--hypothesis-profile=full -m "not timed",--numprocesses=4)
-	$(call run_tests,--hypothesis-profile=full -m timed)
+	$(call run_tests,--hypothesis-profile=full -m timed,--numprocesses=2)
 
 # Builds the images of deploy/ and tests them on a Docker engine. The first time takes minutes, mostly to compile.
 COMPOSE = $(if $(shell docker compose version 2>/dev/null),docker compose,docker-compose)

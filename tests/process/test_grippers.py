@@ -21,11 +21,8 @@ from zarm_contract.keys import Keys
 from zarm_contract.messages import (
     DriverGripperCommand,
     DriverGripperState,
-    GripperOpening,
     GripperRequest,
-    JointGoal,
     JointState,
-    PlanRequest,
 )
 from zarm_contract.robot import ROBOTS, load_robot
 from zarm_runtime.bus import Bus
@@ -115,13 +112,12 @@ def test_collision_geometry_follows_the_measured_opening(cell: Cell) -> None:
 
 def test_a_plan_for_another_opening_names_it(cell: Cell) -> None:
     cell.robot.scene.add(zarm.Sphere("pin", radius=0.004, position=OPEN_FINGER[:3]))
-    goal = JointGoal(kind="joints", position=BEHIND)
     with pytest.raises(zarm.PlanningFailed):
         cell.robot.plan(BEHIND)
-    closed = cell.robot.request_plan(PlanRequest(goal=goal, openings=(GripperOpening(gripper="hand", width=0.0),)))
+    closed = cell.robot.plan(BEHIND, openings={"hand": 0.0})
     assert closed.openings[0].width == 0.0
     with pytest.raises(zarm.InvalidRequest, match=r"hand cannot open 0\.2 m"):
-        cell.robot.request_plan(PlanRequest(goal=goal, openings=(GripperOpening(gripper="hand", width=0.2),)))
+        cell.robot.plan(BEHIND, openings={"hand": 0.2})
 
 
 def test_a_stop_holds_the_fingers_where_they_are(cell: Cell) -> None:

@@ -447,6 +447,7 @@ EXAMPLES: tuple[Message, ...] = (
         gripper="hand",
         status="aborted",
         widths=(0.0, 0.08),
+        touch_links=("left_finger", "right_finger", "hand"),
         width=0.03,
         position=0.015,
         goal_id="grip-1",

@@ -216,6 +216,8 @@ class Robot(_Twin[zarm.robot.Robot]):
     joint_state = _awaited(zarm.robot.Robot.joint_state)
     tip = _awaited(zarm.robot.Robot.tip)
     health = _awaited(zarm.robot.Robot.health)
+    pick = _awaited(zarm.robot.Robot.pick)
+    place = _awaited(zarm.robot.Robot.place)
     goal_states = _iterated(zarm.robot.Robot.goal_states)
     states = _iterated(zarm.robot.Robot.states)
     joint_states = _iterated(zarm.robot.Robot.joint_states)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 
@@ -15,6 +15,7 @@ from zarm_contract.errors import Unavailable
 from zarm_contract.key import Query
 from zarm_contract.messages import (
     CancelPlan,
+    GripperOpening,
     PathConstraint,
     Plan,
     PlannerKind,
@@ -56,13 +57,15 @@ class PlanOptions(Settings, total=False):
     gives up earlier. For `optimize_s` s after the first motion is found, the planner looks for faster ones. The scales
     (above 0, up to 1) are fractions of the joint limits. `margin` (m) is the distance to objects on the way, and
     `self_margin` (m) the distance between the robot's own links, by default the descriptor's. With `optimize_s` 0, the
-    same request, `seed` (default: 0) and scene give the same motion.
+    same request, `seed` (default: 0) and scene give the same motion. `openings` (m) are those of grippers by name, by default the
+    measured ones.
     """
 
     start: Numbers | StartState | None
     path_constraint: PathConstraint | None
     self_margin: float | None
     seed: int
+    openings: Mapping[str, float] | None
 
 
 class Planner(Kinematics):
@@ -73,7 +76,7 @@ class Planner(Kinematics):
         through `zarm.Waypoints`. Nothing moves.
 
         `options` are `start`, `path_constraint`, `planner`, `timeout`, `max_attempts`, `optimize_s`, `velocity_scale`,
-        `acceleration_scale`, `margin`, `self_margin` and `seed`: see `zarm.PlanOptions`.
+        `acceleration_scale`, `margin`, `self_margin`, `seed` and `openings`: see `zarm.PlanOptions`.
 
         Ctrl-C ends the planning. Raises PlanningFailed, DeadlineExceeded or InvalidRequest.
         """
@@ -102,6 +105,7 @@ class Planner(Kinematics):
         """
         fields: dict[str, object] = {**options}
         fields["start"] = joints_of(options.get("start"), "start")
+        fields["openings"] = _openings(options.get("openings"))
         return self.request_program(made(ProgramRequest, segments=tuple(segments), **fields))
 
     def request_program(self, request: ProgramRequest) -> Plan:
@@ -134,6 +138,7 @@ class ProgramOptions(TypedDict, total=False):
     seed: int
     publish: bool
     partial: bool
+    openings: Mapping[str, float] | None
 
 
 def plan_request(goal: Goal, **options: Unpack[PlanOptions]) -> PlanRequest:
@@ -144,4 +149,9 @@ def plan_request(goal: Goal, **options: Unpack[PlanOptions]) -> PlanRequest:
         fields.update(start=None, start_state=start)
     else:
         fields["start"] = joints_of(start, "start")
+    fields["openings"] = _openings(options.get("openings"))
     return made(PlanRequest, goal=goal_of(goal), **fields)
+
+
+def _openings(openings: Mapping[str, float] | None) -> tuple[GripperOpening, ...]:
+    return tuple(made(GripperOpening, gripper=name, width=width) for name, width in (openings or {}).items())

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
 from zarm.calls import Calls
 from zarm.connection import ANSWER_SECONDS, Connection
 from zarm.executor import Executor
+from zarm.grasping import Grasping
 from zarm.gripper import Gripper
 from zarm.planner import Planner
 from zarm.scene import Scene
@@ -43,6 +44,10 @@ def _executor(robot: Robot) -> Executor:
     return robot.executor
 
 
+def _grasping(robot: Robot) -> Grasping:
+    return robot.grasping
+
+
 def _servo(robot: Robot) -> Servo:
     return robot.servo
 
@@ -50,7 +55,7 @@ def _servo(robot: Robot) -> Servo:
 class Robot(Calls):
     """One robot on the bus; `zarm.connect` makes it.
 
-    `planner`, `executor`, `servo`, `scene` and `gripper` have the calls of each part; `robot.plan` is short for
+    `planner`, `executor`, `servo`, `scene`, `gripper` and `grasping` have the calls of each part; `robot.plan` is short for
     `robot.planner.plan`, and so on. Joint vectors follow the order of `joints` in the robot's descriptor. Poses are those
     of its tip in its base frame. Every method raises a `zarm.Error`: the problem that the service answers, or Unavailable
     if none answers. Thread-safe; Ctrl-C interrupts only the main thread.
@@ -62,6 +67,7 @@ class Robot(Calls):
         self.executor = Executor(connection)
         self.servo = Servo(connection)
         self.gripper = Gripper(connection)
+        self.grasping = Grasping(connection)
         self.scene = Scene(connection)
 
     plan = _short(_planner, Planner.plan)
@@ -92,6 +98,8 @@ class Robot(Calls):
     joint_states = _short(_executor, Executor.joint_states)
     track = _short(_servo, Servo.track)
     jog = _short(_servo, Servo.jog)
+    pick = _short(_grasping, Grasping.pick)
+    place = _short(_grasping, Grasping.place)
 
     def tip(self) -> Pose:
         """The present pose of the tip."""

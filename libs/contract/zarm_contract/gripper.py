@@ -74,6 +74,13 @@ class Gripper(Section):
         }
         return {self.joint: (1.0, 0.0), **followers}
 
+    def touch_links(self, urdf: Urdf) -> tuple[str, ...]:
+        """The links that may touch what it holds: the pads, those that move with the gripper, and the one that carries them."""
+        joints = self.joints(urdf)
+        carried = [link for link, joint in urdf.joint_of_child.items() if joint.name in joints]
+        palms = [joint.parent for joint in urdf.joint_of_child.values() if joint.name in joints]
+        return tuple(dict.fromkeys((*self.pads, *carried, *palms)))
+
     def faults(self) -> Iterator[tuple[str, str]]:
         """What is wrong with its own values, each as key and message."""
         if len(self.positions) != len(self.widths):

@@ -30,10 +30,13 @@ class _Goal:
 
 
 class GripperControl:
-    """One gripper, moved through `link`, or by nothing if that is None. Thread-safe."""
+    """One gripper, moved through `link`, or by nothing if that is None; `touch_links` are as in `GripperState`. Thread-safe."""
 
-    def __init__(self, name: str, gripper: Gripper, link: GripperLink | None) -> None:
+    def __init__(
+        self, name: str, gripper: Gripper, link: GripperLink | None, touch_links: tuple[str, ...] = ()
+    ) -> None:
         self._name, self._gripper, self._link = name, gripper, link
+        self._touch_links = touch_links
         self._goal: _Goal | None = None
         self._last: tuple[GripperStatus, str | None, float | None, Problem | None] = ("idle", None, None, None)
         self._lock = threading.Lock()
@@ -101,6 +104,7 @@ class GripperControl:
                 gripper=self._name,
                 status=status,
                 widths=(self._gripper.closed, self._gripper.open),
+                touch_links=self._touch_links,
                 width=self._width(),
                 position=None if measured is None else measured[0],
                 goal_id=goal_id,

@@ -19,7 +19,7 @@ from zarm_contract.messages import (
     JointState,
     Openings,
 )
-from zarm_contract.robot import RobotDescriptor
+from zarm_contract.robot import RobotDescription
 from zarm_contract.strategies import DRIVER_STRATEGIES
 from zarm_executor.gripper_control import GripperControl
 from zarm_executor.gripper_links import DrivenGripper, EmulatedGripper
@@ -47,8 +47,9 @@ class Grippers:
     """
 
     def __init__(
-        self, descriptor: RobotDescriptor, machine: Machine, bus: Bus, keys: Keys, file: StateFile[JointState]
+        self, robot: RobotDescription, machine: Machine, bus: Bus, keys: Keys, file: StateFile[JointState]
     ) -> None:
+        descriptor = robot.descriptor
         self._machine, self._keys, self._file = machine, keys, file
         self._grippers = descriptor.grippers
         self._states = bus.latched(keys.gripper_state("*"))
@@ -62,7 +63,10 @@ class Grippers:
             name: DrivenGripper(bus, keys, name, gripper)
             for name, gripper in (self._grippers.items() if descriptor.strategy_params is not None else ())
         }
-        self._controls = {name: GripperControl(name, gripper, None) for name, gripper in self._grippers.items()}
+        self._controls = {
+            name: GripperControl(name, gripper, None, gripper.touch_links(robot.urdf))
+            for name, gripper in self._grippers.items()
+        }
         self._starting = threading.Lock()
         self._publishing = threading.Lock()
         self._published: dict[str, tuple[GripperState, float]] = {}

@@ -140,7 +140,7 @@ def start(service: Service) -> Iterator[None]:
             admission = Admission(machine, reporter, robot.descriptor.execution.joint_state_timeout)
             streams = Streams(robot, machine, reporter, admission)
             grippers = Grippers(
-                robot.descriptor, machine, command_bus, keys, StateFile(folder / "emulated_grippers.json", JointState)
+                robot, machine, command_bus, keys, StateFile(folder / "emulated_grippers.json", JointState)
             )
             executor = Executor(
                 robot, machine, reporter, admission, plans, present, strategies, *settings, kept_speed, grippers

@@ -8,6 +8,7 @@ import secrets
 import threading
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,7 +207,8 @@ class Handlers:
         if request.start_state is not None or constrains(request.path_constraint):
             field = "start_state" if request.start_state is not None else "path_constraint"
             raise InvalidRequest("not with an approach or a retreat; leave one of them out", field=field)
-        fields = request.model_dump(include=ProgramRequest.model_fields.keys() & PlanRequest.model_fields.keys())
+        common = ProgramRequest.model_fields.keys() & PlanRequest.model_fields.keys()
+        fields: dict[str, Any] = {name: getattr(request, name) for name in common}
         segment = Move.model_construct(kind="move", goal=request.goal)
         try:
             plan, _ = self.program(ProgramRequest.model_construct(segments=(segment,), **fields))

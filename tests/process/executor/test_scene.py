@@ -50,7 +50,7 @@ def executor_of(bench: Bench, bus: Bus, folder: Path, scene: Callable[[], SceneE
         bus.publisher(KEYS.strategy),
         bus.publisher(KEYS.speed),
         StateFile(folder / "speed.json", Speed),
-        Grippers(ROBOT.descriptor, bench.machine, bus, KEYS, StateFile(folder / "grippers.json", JointState)),
+        Grippers(ROBOT, bench.machine, bus, KEYS, StateFile(folder / "grippers.json", JointState)),
     )
 
 

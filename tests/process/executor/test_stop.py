@@ -60,7 +60,7 @@ def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus:
         bus.publisher(KEYS.strategy),
         bus.publisher(KEYS.speed),
         StateFile(tmp_path / "speed.json", Speed),
-        Grippers(ROBOT.descriptor, bench.machine, bus, KEYS, StateFile(tmp_path / "grippers.json", JointState)),
+        Grippers(ROBOT, bench.machine, bus, KEYS, StateFile(tmp_path / "grippers.json", JointState)),
     )
     with ThreadPoolExecutor(1) as pool:
         first = pool.submit(executor.execute, ExecuteRequest(), arrival())

@@ -58,12 +58,13 @@ class GripperState(ShortMessage):
 
     `status` is that of the goal `goal_id`, which moves it to the opening `target` (m). `reached`: it is there. `stalled`: the fingers stand
     before it, usually because they hold something. `idle`: it has had no goal yet. A goal that is `aborted` has a `problem`. `widths` (m)
-    are its openings when closed and open.
+    are its openings when closed and open. `touch_links` are the links that may touch what it holds: its fingers and its palm.
     """
 
     gripper: Name
     status: GripperStatus
     widths: tuple[NonNegative, NonNegative]
+    touch_links: tuple[str, ...] = ()
     width: NonNegative | None = None
     position: float | None = None
     goal_id: Name | None = None
