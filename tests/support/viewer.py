@@ -117,6 +117,11 @@ def drawn_tip(page: Page, robot: str = ROBOT.descriptor.name) -> tuple[float, ..
     return _drawn(page, robot, "robot", "tip_axes")
 
 
+def drawn_link(page: Page, robot: str, link: str) -> tuple[float, ...] | None:
+    """The position (m) of a link in the page's scene graph, in the robot's base frame."""
+    return _drawn(page, robot, "robot", link)
+
+
 def drawn_ghost(page: Page) -> tuple[float, ...] | None:
     """The position (m) of the tip of the goal's ghost in the scene graph, in the robot's base frame."""
     return _drawn(page, ROBOT.descriptor.name, "goal_ghost", ROBOT.descriptor.tip_link)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import viser
@@ -11,6 +11,7 @@ from viser import MeshHandle, SceneNodeHandle
 from viser.transforms import SE3
 
 from zarm_contract.robot import RobotDescription
+from zarm_contract.urdf import Joint
 from zarm_viewer.body import Body
 from zarm_viewer.drawing import Brush, Colour, link_mesh
 from zarm_viewer.kinematics import Array, motion, origin
@@ -36,6 +37,7 @@ class Arm:
         names = {robot.descriptor.base_link: root}
         waiting = list(joints.values())
         moving: dict[str, tuple[SceneNodeHandle, int]] = {}
+        frames: dict[str, tuple[SceneNodeHandle, Joint]] = {}
         while ready := [joint for joint in waiting if joint.parent in names]:
             for joint in ready:
                 waiting.remove(joint)
@@ -44,8 +46,10 @@ class Arm:
                 frame = api.add_frame(
                     names[joint.child], show_axes=False, wxyz=at.rotation().wxyz, position=at.translation()
                 )
+                frames[joint.name] = frame, joint
                 if joint.name in robot.descriptor.joints:
                     moving[joint.child] = frame, robot.descriptor.joints.index(joint.name)
+        self._fingers = {joint: frames[joint] for joint in robot.gripper_positions({})}
         self._moving = [(frame, index, joints[link], origin(joints[link])) for link, (frame, index) in moving.items()]
         self.tip = names[robot.descriptor.tip_link]
         self.nodes = names  # of each link in the scene
@@ -56,6 +60,7 @@ class Arm:
             for index, (mesh, at) in enumerate(body.get(link, ())):
                 self._shapes.append(brush.mesh(f"{node}/shape_{index}", mesh, at))
         self.move(np.array(robot.descriptor.home))
+        self.grip({})
 
     def move(self, joints: Array) -> bool:
         """Draw the robot at joint positions (J,) in rad; returns whether that changes anything."""
@@ -63,13 +68,15 @@ class Arm:
             return False
         for frame, index, joint, at in self._moving:
             if self._at is None or abs(joints[index] - self._at[index]) >= STILL:
-                pose = at @ motion(joint, float(joints[index]))
-                if joint.type == "prismatic":
-                    frame.position = pose.translation()
-                else:
-                    frame.wxyz = pose.rotation().wxyz
+                _place(frame, joint, at @ motion(joint, float(joints[index])))
         self._at = joints.copy()
         return True
+
+    def grip(self, widths: Mapping[str, float]) -> None:
+        """Draw the fingers of grippers at these openings (m), those left out open."""
+        for name, position in self._robot.gripper_positions(widths).items():
+            frame, joint = self._fingers[name]
+            _place(frame, joint, origin(joint) @ motion(joint, position))
 
     def paint(self, colour: Colour) -> None:
         """Give every link this colour."""
@@ -109,20 +116,37 @@ class Arm:
             self._frame.visible = seen
 
 
+def _place(frame: SceneNodeHandle, joint: Joint, pose: SE3) -> None:
+    """Put the child of a joint there."""
+    if joint.type == "prismatic":
+        frame.position = pose.translation()
+    else:
+        frame.wxyz = pose.rotation().wxyz
+
+
 class Ghost:
     """A robot sent to the pages only when first shown, so that they open faster. Thread-safe."""
 
     def __init__(self, make: Callable[[], Arm]) -> None:
         self._make, self._making = make, threading.Lock()
         self._arm: Arm | None = None
+        self._widths: Mapping[str, float] = {}
 
     def show(self, joints: Array) -> None:
         """Show it at joint positions (J,) in rad."""
         with self._making:
             if self._arm is None:
                 self._arm = self._make()
+                self._arm.grip(self._widths)
         self._arm.move(joints)
         self._arm.visible = True
+
+    def grip(self, widths: Mapping[str, float]) -> None:
+        """Draw the fingers of its grippers at these openings (m)."""
+        with self._making:
+            self._widths = widths
+            if self._arm is not None:
+                self._arm.grip(widths)
 
     def hide(self) -> None:
         """Hide it."""

@@ -19,6 +19,7 @@ from zarm_contract.roles import Role
 from zarm_viewer.aim import Goal
 from zarm_viewer.environment import BESIDE, add_environment
 from zarm_viewer.gate import Gate
+from zarm_viewer.gripper_panel import GripperPanel
 from zarm_viewer.jog_panel import JogPanel
 from zarm_viewer.looks_panel import LooksPanel
 from zarm_viewer.motion_panel import MotionPanel
@@ -235,6 +236,10 @@ class _Controls:
             self._objects = ObjectsPanel(panels, picture.scene)
         with tabs.add_tab("Jog"):
             self._jog = JogPanel(panels, self._goal)
+        self._grippers: GripperPanel | None = None
+        if panels.description.descriptor.grippers:
+            with tabs.add_tab("Gripper"):
+                self._grippers = GripperPanel(panels)
 
     def chosen(self, yes: bool) -> None:
         """Show or hide the handles, and take keys or leave them."""
@@ -245,3 +250,5 @@ class _Controls:
         """Show what has changed."""
         self._motion.draw(news)
         self._objects.draw(news.scene)
+        if self._grippers is not None:
+            self._grippers.draw(news.grippers)

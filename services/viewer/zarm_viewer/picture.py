@@ -49,6 +49,7 @@ class Picture:
         self.scene = SceneView(panels, self.arm.tip, meshes)
         self._trail: deque[Array] = deque(maxlen=TRAIL_POINTS)
         self._preview: Array | None = None
+        self._widths: dict[str, float] = {}
         self._clearance: tuple[Vector3, Vector3] | None = None
 
     def draw(self, news: News) -> None:
@@ -57,6 +58,10 @@ class Picture:
             self._panels.joints, self._panels.measured = news.joints, True
             if self.arm.move(news.joints):
                 self._extend_trail(news.joints)
+        if news.grippers:
+            self._widths |= {state.gripper: state.width for state in news.grippers if state.width is not None}
+            self.arm.grip(self._widths)
+            self._ghost.grip(self._widths)
         if news.preview is not None:
             self._preview = news.preview
         if self._preview is not None:

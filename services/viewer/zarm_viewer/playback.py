@@ -14,7 +14,7 @@ from zarm.record_story import Story, summarize
 from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
-from zarm_contract.messages import GoalState, JointState, Message
+from zarm_contract.messages import GoalState, GripperState, JointState, Message
 from zarm_runtime.record import read_record
 from zarm_runtime.recorded import Recorded
 from zarm_viewer.kinematics import Array
@@ -104,6 +104,7 @@ class Playback:
             servo=newest.get(self._keys.servo_state),
             plan=newest.get(self._keys.plans),
             goals=goals,
+            grippers=tuple(message for _, _, message in found if isinstance(message, GripperState)),
             tracking_error=None if tracked is None else self._tracking_error(*tracked, joint_names),
         )
 

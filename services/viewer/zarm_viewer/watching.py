@@ -16,6 +16,7 @@ from zarm_contract.messages import (
     ExecutorState,
     GoalState,
     GoalTrajectory,
+    GripperState,
     JointState,
     Message,
     Plan,
@@ -47,6 +48,7 @@ class News:
     trajectory: GoalTrajectory | None = None
     goals: tuple[GoalState, ...] = ()
     tracking_error: Array | None = None
+    grippers: tuple[GripperState, ...] = ()
 
 
 @dataclass
@@ -57,6 +59,7 @@ class Watching:
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _newest: dict[str, Any] = field(default_factory=dict)
     _goals: dict[str, GoalState] = field(default_factory=dict)
+    _grippers: dict[str, GripperState] = field(default_factory=dict)
     _tracked: tuple[GoalState, JointState, float] | None = None
     """The newest state of a goal, the joints when it came, and their age then (s)."""
 
@@ -77,12 +80,14 @@ class Watching:
         for name, key in watched.items():
             bus.watch(key, self._put(name))
         bus.watch(keys.goal("*"), self._put_goal)
+        bus.watch(keys.gripper_state("*"), self._put_gripper)
 
     def take(self, joint_names: tuple[str, ...]) -> News:
         """Changes since the last call, with joints in this order."""
         with self._lock:
             newest, self._newest = self._newest, {}
             goals, self._goals = tuple(self._goals.values()), {}
+            grippers, self._grippers = tuple(self._grippers.values()), {}
             tracked, self._tracked = self._tracked, None
         joints = self._new_joints("joints", self._joints.received(), joint_names)
         preview = self._new_joints("preview", self._preview.received(), joint_names)
@@ -92,6 +97,7 @@ class Watching:
             measured_at=None if joints is None else joints.stamp,
             preview=None if preview is None else preview.position,
             goals=goals,
+            grippers=grippers,
             tracking_error=None if tracked is None else tracking_error(*tracked, joint_names),
             **newest,
         )
@@ -114,6 +120,10 @@ class Watching:
                 self._newest[name] = message
 
         return put
+
+    def _put_gripper(self, _: str, state: GripperState) -> None:
+        with self._lock:
+            self._grippers[state.gripper] = state
 
     def _put_goal(self, _: str, goal: GoalState) -> None:
         received = self._joints.received()

@@ -18,7 +18,18 @@ import zarm
 from support.command_line import Command
 from support.harness import PATIENCE, eventually
 from support.trajectories import HOME, KEYS, ROBOT, moved
-from support.viewer import COARSE, SIZE, Cell, cell_of, drawn_ghost, drawn_tip, drawn_width, free_port, opened
+from support.viewer import (
+    COARSE,
+    SIZE,
+    Cell,
+    cell_of,
+    drawn_ghost,
+    drawn_link,
+    drawn_tip,
+    drawn_width,
+    free_port,
+    opened,
+)
 from zarm_contract.messages import Plan, Planners
 from zarm_contract.robot import load_robot
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -490,6 +501,28 @@ def test_a_viewer_sees_two_robots_and_can_only_stop(page: Page, cell: Cell, chro
     expect(robot).to_have_value("other")
     expect(nearest).to_be_hidden()
     watching.close()
+
+
+def test_the_gripper_tab_closes_the_fingers_that_are_drawn(cell: Cell, chromium: Browser) -> None:
+    cell.begin("executor", "panda", "panda")
+    page = opened(chromium, cell.serve("--robot", "panda=panda"))
+    robot = page.get_by_role("combobox", name="robot")
+    robot.click()
+    page.get_by_role("option", name="panda").click()
+    page.get_by_role("tab", name="Gripper").click()
+    fingers = ("panda_leftfinger", "panda_rightfinger")
+
+    def apart() -> float | None:
+        drawn = [drawn_link(page, "panda", finger) for finger in fingers]
+        return None if None in drawn else float(np.linalg.norm(np.subtract(*drawn)))
+
+    eventually(lambda: (width := apart()) is not None and abs(width - 0.08) < 2e-3, "the gripper is drawn open")
+    page.get_by_role("button", name="Close hand").click()
+    eventually(lambda: (width := apart()) is not None and width < 2e-3, "the fingers are drawn closed")
+    expect(page.get_by_text("reached").first).to_be_visible()
+    with zarm.connect(cell.endpoint, "panda") as panda:
+        assert panda.gripper.state().width == pytest.approx(0.0, abs=1e-3)
+    page.close()
 
 
 def test_a_record_plays_on_a_page_to_its_end(cell: Cell, chromium: Browser, tmp_path: Path) -> None:
