@@ -180,8 +180,16 @@ def test_fingers_that_open_beside_something_hold_the_guarded_arm(cell: Cell) -> 
 def test_a_robot_without_grippers_says_so(tmp_path: Path) -> None:
     with router() as endpoint, Bus(endpoint) as bus, ServiceProcess("executor", endpoint, tmp_path) as process:
         process.wait_ready(bus, Keys("doosan_m1013"))
-        with zarm.connect(endpoint) as robot, pytest.raises(zarm.InvalidRequest, match="has no gripper"):
+        with zarm.connect(endpoint) as robot, pytest.raises(zarm.InvalidRequest, match="has no gripper; describe it"):
             robot.gripper.open()
+
+
+def test_a_gripper_that_is_not_there_is_named_with_those_that_are(cell: Cell) -> None:
+    with pytest.raises(zarm.InvalidRequest, match="panda has no gripper claw, but hand"):
+        cell.robot.gripper.state("claw")
+    assert set(cell.robot.gripper.all()) == {"hand"}
+    status = run_zarm("status", ZARM_CONNECT=cell.endpoint)
+    assert "open 0.080 m, reached" in status.stdout
 
 
 @pytest.fixture

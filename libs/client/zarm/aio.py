@@ -177,6 +177,7 @@ class Gripper(_Twin[zarm.gripper.Gripper]):
     close = _awaited(zarm.gripper.Gripper.close)
     move = _awaited(zarm.gripper.Gripper.move)
     cancel = _awaited(zarm.gripper.Gripper.cancel)
+    all = _awaited(zarm.gripper.Gripper.all)
     state = _awaited(zarm.gripper.Gripper.state)
     states = _iterated(zarm.gripper.Gripper.states)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from contextlib import suppress
 
 from zarm.calls import Calls
@@ -84,20 +84,31 @@ class Gripper(Calls):
         """Stop a gripper where it is; what it holds, it goes on holding."""
         return self._ask(self._keys.gripper_cancel, made(GripperCancel, gripper=gripper))
 
-    def state(self, gripper: str | None = None) -> GripperState:
-        """The present state of a gripper. Raises InvalidRequest for one that is not there."""
-        try:
-            return self.connection.read(self._keys.gripper_state(gripper or "*"))
-        except Unavailable:
-            self.connection.read(self._keys.executor_state)  # nothing else is wrong
-            raise InvalidRequest(self._missing(gripper), field="gripper") from None
+    def all(self) -> Mapping[str, GripperState]:
+        """The present state of each gripper by name."""
+        found: dict[str, GripperState] = {}
 
-    def _missing(self, gripper: str | None) -> str:
-        try:
-            known = self.connection.read(self._keys.gripper_state("*")).gripper
-        except Unavailable:
-            return f"{self.name} has no gripper; describe it in `grippers` of its descriptor"
-        return f"{self.name} has no gripper {gripper}, but {known}; name that one"
+        def read() -> None:
+            self.connection.bus.watch(
+                self._keys.gripper_state("*"), lambda _, state: found.update({state.gripper: state})
+            )()
+
+        self.connection.interrupts.run_interruptibly(read)
+        return found
+
+    def state(self, gripper: str | None = None) -> GripperState:
+        """The present state of a gripper. Raises InvalidRequest for one that is not there, or if none of several is named."""
+        found = self.all()
+        if not found:
+            self.connection.read(self._keys.executor_state)  # raises if it is the executor that is missing
+            raise InvalidRequest(
+                f"{self.name} has no gripper; describe it in `grippers` of its descriptor", field="gripper"
+            )
+        if gripper is None and len(found) > 1:
+            raise InvalidRequest(f"{self.name} has several grippers, {', '.join(found)}; name one", field="gripper")
+        if gripper is not None and gripper not in found:
+            raise InvalidRequest(f"{self.name} has no gripper {gripper}, but {', '.join(found)}", field="gripper")
+        return next(iter(found.values())) if gripper is None else found[gripper]
 
     def states(self, gripper: str | None = None) -> Generator[GripperState]:
         """The present state of a gripper, then every change; endless."""

@@ -53,6 +53,14 @@ class Report:
         )
 
     @property
+    def gripper_in_short(self) -> str:
+        """The gripper's drive and how far it opens, or the joints that stand."""
+        gripper = self.gripper
+        if gripper is None:
+            return f"{', '.join(self.chain.gripper)}, fixed"
+        return f"{gripper.joint.name}, opens {1e3 * gripper.widths[-1]:.0f} mm"
+
+    @property
     def warnings(self) -> list[str]:
         """What should be reviewed."""
         found = [*self.notes, *self.chain.mimics]

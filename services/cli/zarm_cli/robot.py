@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.table import Table
@@ -18,9 +18,6 @@ from zarm_cli.output import degrees, err, facts, numbers, out, print_json
 from zarm_cli.view import EDITOR, VIEW, require_viewer, serve
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.robot import ROBOTS, RobotDescription, load_robot
-
-if TYPE_CHECKING:
-    from zarm_robot_import.report import Report
 
 app = typer.Typer(no_args_is_help=True, help="Robot descriptors.")
 
@@ -99,7 +96,7 @@ def import_(
         "",
         facts(
             ("robot", f"{report.name}, {len(report.chain.joints)} joints, {report.chain.base} to {report.chain.tip}"),
-            *([("gripper", _gripper(report))] if report.chain.gripper else []),
+            *([("gripper", report.gripper_in_short)] if report.chain.gripper else []),
             ("spheres", str(report.spheres)),
             ("home", f"{numbers(report.home, 2)} rad"),
             *([("driver", f"{report.controller}, with strategy: joint_trajectory")] if report.controller else []),
@@ -128,13 +125,6 @@ def _position(text: str) -> tuple[str, float]:
         raise InvalidRequest(
             f"{text!r} is no position of a joint; write --fix finger_joint=0.04", field="--fix"
         ) from None
-
-
-def _gripper(report: Report) -> str:
-    gripper = report.gripper
-    if gripper is None:
-        return f"{', '.join(report.chain.gripper)}, fixed"
-    return f"{gripper.joint.name}, opens {1e3 * gripper.widths[-1]:.0f} mm"
 
 
 def _millimetres(mean: float, most: float) -> str:

@@ -32,6 +32,7 @@ from zarm_contract.errors import InternalError, Unavailable
 from zarm_contract.messages import (
     ExecutorState,
     GoalState,
+    GripperState,
     Health,
     JointState,
     Message,
@@ -62,6 +63,7 @@ def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: N
         found = {service for _, service, _ in bus.alive(keys.alive("*", "*"))}
         services = {one: _answered(partial(robot.health, one)) for one in sorted(found | {*_NEEDED})}
         state, scene = _answered(robot.state), _answered(robot.scene.read)
+        grippers = robot.gripper.all()
         goal_id = None if state is None else state.goal_id
         goal = None if goal_id is None else _answered(partial(bus.read, keys.goal(goal_id), timeout=1.0))
     faults = list(mismatches({one: health for one, health in services.items() if health is not None}))
@@ -74,11 +76,12 @@ def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: N
                 "mismatches": [vars(fault) for fault in faults],
                 "executor": state,
                 "goal": goal,
+                "grippers": grippers,
                 "scene": scene,
             }
         )
     else:
-        _print_status(robot, services, state, goal, scene)
+        _print_status(robot, services, state, goal, scene, grippers)
         for fault in faults:
             out.print(f"\n{fault.kind}: {fault.message}.", style="yellow" if fault.harmless else "bold red")
     if missing := [one for one in _NEEDED if (health := services[one]) is None or not health.ready]:
@@ -106,6 +109,7 @@ def _print_status(
     state: ExecutorState | None,
     goal: GoalState | None,
     scene: Scene | None,
+    grippers: Mapping[str, GripperState],
 ) -> None:
     columns = ("service", "state", "uptime (s)", "pid", "instance", "version", "contract", "robot")
     rows = [("robot", f"{robot.name} at {robot.connection.bus.endpoint}")]
@@ -113,6 +117,9 @@ def _print_status(
         rows += _state_rows(state)
     if goal is not None:
         rows += _hold_rows(goal)
+    for gripper in grippers.values():
+        width = "opening unknown" if gripper.width is None else f"open {gripper.width:.3f} m"
+        rows.append((gripper.gripper, f"{width}, {gripper.status}"))
     if scene is not None:
         rows.append(("scene", f"{counted(len(scene.objects), 'object')}, revision {scene.revision}"))
     rows += [(service, health.note) for service, health in services.items() if health is not None and health.note]
