@@ -19,6 +19,7 @@ from support.harness import PATIENCE, ServiceProcess, eventually, router
 from support.planner.second_opinion import link_pose
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
+    DriverFault,
     DriverGripperCommand,
     DriverGripperState,
     GripperRequest,
@@ -255,6 +256,23 @@ def test_fingers_that_meet_an_object_stall_and_hold_it(driven: Path, tmp_path: P
         (command,) = commands
         assert (command.position, command.speed, command.force) == (0.0, pytest.approx(0.025), 30.0)
         assert robot.gripper.open().status == "reached"
+
+
+def test_the_simulated_driver_has_fingers_that_an_object_stops(driven: Path, tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        endpoint = stack.enter_context(router())
+        bus = stack.enter_context(Bus(endpoint))
+        for service in ("leeloo_sim", "executor"):
+            process = ServiceProcess(service, endpoint, tmp_path, str(driven))
+            stack.enter_context(process).wait_ready(bus, KEYS)
+        robot = stack.enter_context(zarm.connect(endpoint))
+        bus.call(KEYS.simulated_fault, DriverFault(obstacle=0.03), timeout=PATIENCE)
+        held = robot.gripper.close()
+        assert (held.status, held.width) == ("stalled", pytest.approx(0.03, abs=1e-4))
+        assert robot.gripper.close().status == "stalled", "it still holds"
+        bus.call(KEYS.simulated_fault, DriverFault(), timeout=PATIENCE)
+        assert robot.gripper.close().status == "reached"
+        assert robot.gripper.open().width == pytest.approx(0.08, abs=1e-3)
 
 
 def test_a_gripper_whose_driver_is_silent_ends_with_a_reason(driven: Path, tmp_path: Path) -> None:

@@ -459,7 +459,7 @@ EXAMPLES: tuple[Message, ...] = (
         gripper="hand", position=0.02, sequence=7, reached=True, stalled=True, problem="the gripper has no power"
     ),
     m.DriverProgress(sequence=7, fraction=0.5, problem="the controller is inactive"),
-    m.DriverFault(stall=True, drop=0.5, delay=0.2, silent=True, die=True, jump=(0.1, -0.2)),
+    m.DriverFault(stall=True, drop=0.5, delay=0.2, silent=True, die=True, jump=(0.1, -0.2), obstacle=0.03),
     # every service
     m.Nothing(),
     m.Requester(client="93ba8b5e23a74bca83fc0b3d1f94feb6", timeout=6.5),

@@ -15,7 +15,8 @@ from typing import TextIO
 import numpy as np
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import DriverFault, Nothing
+from zarm_contract.messages import DriverFault, DriverGripperCommand, DriverGripperState, Nothing
+from zarm_leeloo_sim.fingers import Fingers
 from zarm_leeloo_sim.player import STEP, Array, Player
 
 log = logging.getLogger(__name__)
@@ -50,7 +51,7 @@ class PlaybackProgress:
 class LeelooDriver:
     """Plays commands on `player`; publishes positions (J,) rad and velocities (J,) rad/s, and progress.
 
-    `trace` gets a line for every step: positions, then velocities, regardless of faults that hide them from others.
+    `fingers` are its grippers, whose states go to `publish_gripper`. `trace` gets a line for every step: positions, then velocities, regardless of faults that hide them from others.
     """
 
     def __init__(
@@ -58,9 +59,12 @@ class LeelooDriver:
         player: Player,
         publish_joints: Callable[[Array, Array], None],
         publish_progress: Callable[[PlaybackProgress], None],
+        fingers: Fingers,
+        publish_gripper: Callable[[DriverGripperState], None],
         trace: TextIO | None = None,
     ) -> None:
         self._player = player
+        self._fingers, self._publish_gripper = fingers, publish_gripper
         self._publish_joints = publish_joints
         self._publish_progress = publish_progress
         self._trace = trace
@@ -76,6 +80,11 @@ class LeelooDriver:
         with self._lock:
             if self._random.random() >= self._fault.drop:
                 self._waiting.append((time.monotonic() + self._fault.delay, command))
+
+    def grip(self, command: DriverGripperCommand) -> None:
+        """Move a gripper."""
+        with self._lock:
+            self._fingers.play(command)
 
     def set_fault(self, fault: DriverFault) -> Nothing:
         """Apply this fault from now on, and no other. Raises InvalidRequest for a jump with the wrong joints."""
@@ -110,6 +119,7 @@ class LeelooDriver:
             if self._trace is not None:
                 row = (*self._player.position.tolist(), *self._player.velocity.tolist())
                 self._trace.write(",".join(map(repr, row)) + "\n")
+            self._fingers.step(0.0 if self._fault.stall else STEP, self._fault.obstacle, self._report_gripper)
             if self._fault.silent:
                 return
             self._publish_joints(self._player.position, self._player.velocity)
@@ -117,6 +127,10 @@ class LeelooDriver:
             if self._sequence and progress.fraction != self._fraction_reported and not self._fault.stall:
                 self._fraction_reported = progress.fraction
                 self._publish_progress(progress)
+
+    def _report_gripper(self, state: DriverGripperState) -> None:
+        if not self._fault.silent:
+            self._publish_gripper(state)
 
     def _take(self, command: Command) -> None:
         if lacking := self._player.play(command.position, command.velocity):

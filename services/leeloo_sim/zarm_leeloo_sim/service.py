@@ -17,6 +17,7 @@ from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_leeloo_sim.axes import Axes
 from zarm_leeloo_sim.bus_side import BusSide
 from zarm_leeloo_sim.driver import LeelooDriver
+from zarm_leeloo_sim.fingers import Fingers
 from zarm_leeloo_sim.player import Player
 from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_runtime.service import Service, run_service, service_parser
@@ -46,9 +47,12 @@ def start(service: Service) -> Iterator[None]:
             Player(position, plays=options.plays, ceiling=math.radians(options.ceiling)),
             side.publish_joints,
             (lambda _: None) if options.no_progress else side.publish_progress,
+            Fingers(descriptor.grippers),
+            bus.publisher(keys.driver_gripper_state).put,
             trace,
         )
         side.listen(driver.play)
+        bus.subscribe(keys.driver_gripper_command, lambda _, command: driver.grip(command))
         bus.serve(keys.simulated_fault, driver.set_fault)
         ended = threading.Event()
         thread = threading.Thread(target=driver.run, args=(ended,), name="arm")

@@ -25,6 +25,7 @@ from zarm_contract.robot import find_robot, load_robot
 from zarm_leeloo_sim.axes import Axes
 from zarm_leeloo_sim.bus_side import BusSide
 from zarm_leeloo_sim.driver import LeelooDriver
+from zarm_leeloo_sim.fingers import Fingers
 from zarm_leeloo_sim.player import Player
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
@@ -281,6 +282,8 @@ def driver_that_never_tells_of_the_end(bus: Bus) -> Iterator[None]:
         Player(HOME),
         side.publish_joints,
         lambda reported: None if reported.fraction > 0.99 else side.publish_progress(reported),
+        Fingers({}),
+        lambda _: None,
     )
     side.listen(driver.play)
     thread = threading.Thread(target=driver.run, args=(ended,))

@@ -73,7 +73,7 @@ class DriverFault(ShortMessage):
 
     `stall`: play no further point; the robot stands and is still reported. `drop`: share of commands that are lost. `delay`
     (s): from a command to its first point. `silent`: publish nothing. `die`: end the process, as by SIGKILL. `jump` (rad): move
-    the reported joints by this much, once.
+    the reported joints by this much, once. `obstacle` (m): an object of this width stops the fingers of its grippers.
     """
 
     stall: bool = False
@@ -82,3 +82,4 @@ class DriverFault(ShortMessage):
     silent: bool = False
     die: bool = False
     jump: Joints | None = None
+    obstacle: NonNegative | None = None
