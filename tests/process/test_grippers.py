@@ -178,6 +178,86 @@ def test_fingers_that_open_beside_something_hold_the_guarded_arm(cell: Cell) -> 
     assert robot.follow(goal).status == "succeeded"
 
 
+def picking(width: float, **grip: float) -> list[object]:
+    """A program: over there with an open gripper, close it to a width, back, and open it."""
+    return [
+        zarm.Move(BEHIND),
+        zarm.Grip(width, **grip),
+        zarm.Move(HOME),
+        zarm.Grip(0.08),
+    ]
+
+
+def test_a_program_waits_for_its_grippers_and_goes_on(cell: Cell) -> None:
+    plan = cell.robot.plan_program(picking(0.03))
+    assert [segment.action for segment in plan.segments] == ["move", "grip", "move", "grip"]
+    assert [(one.gripper, one.width) for one in plan.openings] == [("hand", 0.08)]
+    waited: list[tuple[float, float | None]] = []
+
+    def note(state: zarm.GoalState) -> None:
+        if state.hold is not None:
+            assert state.hold.reason == "gripper"
+            waited.append((state.progress * state.duration, cell.robot.gripper.state().width))
+
+    last = cell.robot.execute(plan, on_progress=note)
+    assert last.status == "succeeded"
+    (first, second) = (segment for segment in plan.segments if segment.grip is not None)
+    assert {first.begin <= at <= first.end or second.begin <= at <= second.end for at, _ in waited} == {True}
+    assert cell.robot.gripper.state().width == pytest.approx(0.08, abs=1e-3)
+
+
+def test_what_follows_a_grip_is_verified_with_its_opening(cell: Cell) -> None:
+    """At the end the open finger touches a pin: it may be closed there, and not be opened."""
+    cell.robot.plan_program([zarm.Move(BEHIND), zarm.Grip(0.0), zarm.Move(HOME)])
+    cell.robot.execute(cell.robot.plan(BEHIND))
+    cell.robot.gripper.close()
+    cell.robot.scene.add(zarm.Sphere("pin", radius=0.004, position=OPEN_FINGER[:3]))
+    closed = cell.robot.plan_program([zarm.Move(HOME), zarm.Move(BEHIND), zarm.Grip(0.08)])
+    assert cell.robot.execute(closed).status == "succeeded"
+    cell.robot.gripper.close()
+    with pytest.raises(zarm.PlanningFailed, match=r"segment 1: with hand at 0\.08 m .* would touch") as refused:
+        cell.robot.plan_program([zarm.Move(HOME), zarm.Grip(0.08)])
+    assert refused.value.problem.field == "segments.1"
+
+
+@pytest.mark.parametrize(
+    ("grip", "field"),
+    [(zarm.Grip(0.2), "segments.1.width"), (zarm.Grip(0.02, gripper="claw"), "segments.1.gripper")],
+)
+def test_a_grip_that_no_gripper_can_do_is_refused_in_planning(cell: Cell, grip: zarm.Grip, field: str) -> None:
+    with pytest.raises(zarm.InvalidRequest) as refused:
+        cell.robot.plan_program([zarm.Move(BEHIND), grip])
+    assert refused.value.problem.field == field
+
+
+def test_a_cancel_while_a_gripper_moves_stops_both(cell: Cell) -> None:
+    goal = cell.robot.start(cell.robot.plan_program(picking(0.0, speed=0.01)))
+    eventually(lambda: cell.robot.gripper.state().status == "moving", "the gripper moves")
+    cell.robot.cancel(goal)
+    assert cell.robot.follow(goal).status == "cancelled"
+    eventually(lambda: cell.robot.gripper.state().status == "cancelled", "the fingers stand")
+
+
+@pytest.mark.parametrize("strategy", ["joint_trajectory", "joint_speed", "joint_pose"])
+def test_a_driven_robot_waits_at_rest_for_a_real_gripper(driven: Path, tmp_path: Path, strategy: str) -> None:
+    with ExitStack() as stack:
+        endpoint = stack.enter_context(router())
+        bus = stack.enter_context(Bus(endpoint))
+        for service, arguments in (("planner", ()), ("leeloo_sim", ()), ("executor", ("--strategy", strategy))):
+            process = ServiceProcess(service, endpoint, tmp_path, str(driven), arguments=arguments)
+            stack.enter_context(process).wait_ready(bus, KEYS)
+        robot = stack.enter_context(zarm.connect(endpoint))
+        bus.call(KEYS.simulated_fault, DriverFault(obstacle=0.031), timeout=PATIENCE)
+        plan = robot.plan_program(picking(0.03), velocity_scale=0.3, acceleration_scale=0.1)
+        assert robot.execute(plan).status == "succeeded"
+        assert robot.gripper.state().status == "reached"
+        bus.call(KEYS.simulated_fault, DriverFault(obstacle=0.05), timeout=PATIENCE)
+        plan = robot.plan_program(picking(0.03), velocity_scale=0.3, acceleration_scale=0.1)
+        with pytest.raises(zarm.ExecutionFailed, match=r"stand at 0\.0500 m, not at 0\.03 m"):
+            robot.execute(plan)
+        assert robot.joint_state().position == pytest.approx(BEHIND, abs=0.02)
+
+
 def test_a_robot_without_grippers_says_so(tmp_path: Path) -> None:
     with router() as endpoint, Bus(endpoint) as bus, ServiceProcess("executor", endpoint, tmp_path) as process:
         process.wait_ready(bus, Keys("doosan_m1013"))

@@ -98,6 +98,7 @@ _SEGMENTS = (
     m.Attach(kind="attach", object="part", touch_links=("finger",), name="grasp"),
     m.Wait(kind="wait", duration=0.5, name="settle"),
     m.SpeedChange(kind="speed", velocity_scale=0.5, acceleration_scale=0.25, name="slow"),
+    m.Grip(kind="grip", width=0.04),
     m.Detach(kind="detach", object="part", name="drop"),
 )
 _PROGRAM = m.ProgramRequest(
@@ -115,7 +116,9 @@ _PROGRAM = m.ProgramRequest(
     partial=True,
     openings=(m.GripperOpening(gripper="hand", width=0.04),),
 )
-_PLANNED_SEGMENT = m.PlannedSegment(action="move", name="pick", begin=0.0, end=1.25)
+_GRIP = m.Grip(kind="grip", width=0.04, gripper="hand", force=20.0, speed=0.05, tolerance=0.002, name="close")
+_PLANNED_GRIP = m.PlannedGrip(gripper="hand", width=0.04, force=20.0, speed=0.05, tolerance=0.002)
+_PLANNED_SEGMENT = m.PlannedSegment(action="grip", name="close", begin=0.0, end=1.25, grip=_PLANNED_GRIP)
 _ALONG_CURVE = {
     "speed": 0.1,
     "acceleration": 0.5,
@@ -442,6 +445,8 @@ EXAMPLES: tuple[Message, ...] = (
     m.GripperRequest(gripper="hand", width=0.04, force=20.0, speed=0.05, preempt=True, goal_id="grip-1"),
     m.GripperRequest(position=0.02),
     m.GripperCancel(gripper="hand"),
+    _GRIP,
+    _PLANNED_GRIP,
     m.GripperOpening(gripper="hand", width=0.04),
     m.GripperState(
         gripper="hand",

@@ -266,6 +266,26 @@ class Detach(Checked, messages.Detach):
         super().__init__(kind="detach", object=object, name=name)
 
 
+class Grip(Checked, messages.Grip):
+    """A segment of a program: move a gripper to `width` (m), and go on when its fingers stand there or within `tolerance` (m) of it, as on
+    an object of that width. `gripper`, `force` (N) and `speed` (m/s) are as in `robot.gripper.move`.
+    """
+
+    def __init__(
+        self,
+        width: float,
+        *,
+        gripper: str | None = None,
+        force: float | None = None,
+        speed: float | None = None,
+        tolerance: float = 0.003,
+        name: str | None = None,
+    ) -> None:
+        super().__init__(
+            kind="grip", width=width, gripper=gripper, force=force, speed=speed, tolerance=tolerance, name=name
+        )
+
+
 Goal: TypeAlias = "messages.Pose | messages.PoseGoal | Waypoints | messages.CartesianGoal | Numbers"
 """Where a motion leads: a pose of the tip, one with freedom, whichever of several is quickest to reach, joint positions (rad),
 waypoints; or a line, an arc or a path of the tip."""

@@ -98,7 +98,8 @@ class Planner(Kinematics):
             raise
 
     def plan_program(self, segments: Sequence[Segment], /, **options: Unpack[ProgramOptions]) -> Plan:
-        """One verified motion through all segments: `zarm.Move`, `zarm.Wait`, `zarm.Attach`, `zarm.Detach`, `zarm.SpeedChange`.
+        """One verified motion through all segments: `zarm.Move`, `zarm.Wait`, `zarm.Grip`, `zarm.Attach`,
+        `zarm.Detach`, `zarm.SpeedChange`.
 
         `plan.segments` says when each begins. What a program attaches or detaches changes in the scene when the robot gets there.
         The options mean what they do in `plan`. Raises what `plan` raises; the error names the segment.

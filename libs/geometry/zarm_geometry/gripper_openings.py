@@ -46,18 +46,28 @@ class GripperOpenings:
         """The openings that a request gives, and for the other grippers those of now. Raises InvalidRequest."""
         openings = {opening.gripper: opening.width for opening in given}
         for i, (name, width) in enumerate(openings.items()):
-            gripper = self._grippers.get(name)
-            if gripper is None:
-                known = ", ".join(self._grippers) or "none"
-                raise InvalidRequest(
-                    f"there is no gripper {name}; this robot has {known}", field=f"openings.{i}.gripper"
-                )
-            if not gripper.closed <= width <= gripper.open:
-                raise InvalidRequest(
-                    f"{name} cannot open {width:g} m; give {gripper.closed:g} to {gripper.open:g}",
-                    field=f"openings.{i}.width",
-                )
+            self.named(name, f"openings.{i}.gripper")
+            self.check(name, width, f"openings.{i}.width")
         return tuple((name, round(openings.get(name, width), _DECIMALS)) for name, width in self.present())
+
+    def named(self, name: str | None, field: str) -> str:
+        """The gripper of this name, or the only one. Raises InvalidRequest that names the `field`."""
+        known = ", ".join(self._grippers) or "none"
+        if name is None and len(self._grippers) == 1:
+            return known
+        if name is None:
+            raise InvalidRequest(f"name a gripper; this robot has {known}", field=field)
+        if name not in self._grippers:
+            raise InvalidRequest(f"there is no gripper {name}; this robot has {known}", field=field)
+        return name
+
+    def check(self, name: str, width: float, field: str) -> None:
+        """Raise InvalidRequest that names the `field` for a width (m) that a gripper cannot have."""
+        gripper = self._grippers[name]
+        if not gripper.closed <= width <= gripper.open:
+            raise InvalidRequest(
+                f"{name} cannot open {width:g} m; give {gripper.closed:g} to {gripper.open:g}", field=field
+            )
 
 
 def openings_of(given: messages.Openings) -> Openings:

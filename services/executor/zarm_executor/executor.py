@@ -101,6 +101,7 @@ class Executor:
                 segments=chosen.segments,
                 touches=chosen.touches,
                 openings=chosen.openings,
+                grips=self._grippers.stops(chosen.grips),
             )
             with self._grippers.as_planned(chosen.name, chosen.openings):
                 turn.start(goal)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from zarm_contract.errors import Problem
 from zarm_contract.messages import GoalState, GoalTrajectory, Openings, Pose, SceneRevision, Touch
+from zarm_executor.grip_stop import GripStop
 from zarm_executor.monitor import Monitor
 from zarm_executor.states import Accepted, State, hold_of, outcome_of, status_of
 from zarm_executor.strategies.base import Progress
@@ -41,7 +42,8 @@ class Goal:
     none was known. `verified` is the revision in which the trajectory was verified, or None; `number` counts its
     trajectories. If `replan` is set, the servo may replace the trajectory, also by one to other joints if the goal is
     the pose `tip`. `segments` are the times (s) at which those of a program begin, `touches` where it may touch objects, and
-    `openings` those of the grippers with which it was verified. `monitor` watches the motion.
+    `openings` those of the grippers with which it was verified, and `grips` where
+    grippers move. `monitor` watches the motion.
     """
 
     goal_id: str
@@ -57,6 +59,7 @@ class Goal:
     segments: tuple[float, ...] = ()
     touches: tuple[Touch, ...] = ()
     openings: Openings = ()
+    grips: tuple[GripStop, ...] = ()
 
     @property
     def complete(self) -> bool:

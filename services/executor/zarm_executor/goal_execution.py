@@ -6,9 +6,10 @@ import logging
 from collections import deque
 from dataclasses import replace
 
-from zarm_contract.errors import Busy, ExecutionFailed, ExecutionRefused, Unavailable
+from zarm_contract.errors import Busy, ExecutionFailed, ExecutionRefused, Unavailable, ZarmError
 from zarm_contract.messages import Authority, GoalState, Hold, Openings, RobotMode, SceneRevision
 from zarm_executor.goal import Chunk, Goal
+from zarm_executor.grip_stop import HOLD
 from zarm_executor.guard import LEAST_WAY, Guard, Limit, given_up
 from zarm_executor.monitor import Monitor
 from zarm_executor.states import (
@@ -61,6 +62,9 @@ class GoalExecution:
         self._changes = changes
         self._joints_reported = True
         self._failures: list[ExecutionFailed] = []
+        self._grips = deque(goal.grips)
+        self._gripping = False  # whether the first of them has begun
+        self._grip_limit = self._next_grip()
         if goal.chunk is not None:
             self._steerable()
 
@@ -84,6 +88,8 @@ class GoalExecution:
     def end(self, outcome: Outcome) -> None:
         """Bring the robot to rest, and then end the goal with this outcome."""
         self._strategy.stop()
+        if self._gripping:
+            self._grips[0].cancel("the goal of the robot ended")
         self._enter(Ending(outcome, held_of(self._state)))
 
     def fail(self, failure: ExecutionFailed) -> None:
@@ -312,25 +318,56 @@ class GoalExecution:
         """Brake at the end of the authority or without a required servo; continue when that is over, or give up after a
         while.
         """
-        goal, held = self.goal, held_of(self._state)
+        held = held_of(self._state)
         if held is None:
             if not guarded and self._guard.required:
                 self._hold(Hold(reason="no_guard"), now, progress.time)
             elif self._moving and not progress.finished:
                 self._brake_in_time(now)
+        elif held.hold.reason == "gripper":
+            self._grip(held, now)
         elif self._free(held, progress, guarded=guarded):
-            log.info("the goal continues goal_id=%s", goal.goal_id)
-            if isinstance(self._state, Held):
-                goal.monitor.go_on()
-                if not progress.finished:
-                    if self._blocked(now):
-                        return
-                    self._strategy.move(self._speed_scale)
-            self._enter(with_held(self._state, None))
+            self._continue(now, finished=progress.finished)
         elif isinstance(self._state, Held) and now - held.since > self._guard.patience:
             self.end(Outcome("aborted", given_up(held.hold, self._guard.patience)))
         else:
             self._update_obstruction(held)
+
+    def _continue(self, now: float, *, finished: bool) -> None:
+        """Go on from a hold, as far as the authority reaches."""
+        log.info("the goal continues goal_id=%s", self.goal.goal_id)
+        if isinstance(self._state, Held):
+            self.goal.monitor.go_on()
+            if not finished:
+                if self._blocked(now):
+                    return
+                self._strategy.move(self._speed_scale)
+        self._enter(with_held(self._state, None))
+
+    def _next_grip(self) -> Limit | None:
+        return self._guard.limit(self.goal.trajectory, self._grips[0].until) if self._grips else None
+
+    def _grip(self, held: Held, now: float) -> None:
+        """At rest, have the gripper move; go on when its fingers stand, or end the goal with the reason."""
+        if not isinstance(self._state, Held) or not held.at_rest:
+            return
+        grip, goal_id = self._grips[0], self.goal.goal_id
+        try:
+            if not self._gripping:
+                grip.begin(goal_id)
+                self._gripping = True
+            if grip.moving:
+                return
+        except ZarmError as error:
+            self.end(Outcome("aborted", error.problem))
+            return
+        self._gripping = False
+        if (problem := grip.problem(goal_id)) is not None:
+            self.end(Outcome("aborted", problem))
+            return
+        self._grips.popleft()
+        self._grip_limit = self._next_grip()
+        self._continue(now, finished=False)
 
     def _update_obstruction(self, held: Held) -> None:
         """Update the hold if another obstacle is now in the way."""
@@ -340,11 +377,13 @@ class GoalExecution:
             self._enter(with_held(self._state, replace(held, hold=hold)))
 
     def _brake_in_time(self, now: float) -> None:
-        limit = self._limit
-        if limit is not None:
-            state = self._strategy.braking_from()
-            if self._guard.must_brake(limit, state):
-                self._hold(limit.hold(state), now, limit.until)
+        state: PathState | None = None
+        for limit in (self._limit, self._grip_limit):
+            if limit is not None:
+                state = state or self._strategy.braking_from()
+                if self._guard.must_brake(limit, state):
+                    self._hold(HOLD if limit is self._grip_limit else limit.hold(state), now, limit.until)
+                    return
 
     def _blocked(self, now: float) -> bool:
         """Hold a goal at rest whose authority ends here; returns whether it does."""
@@ -367,7 +406,9 @@ class GoalExecution:
         goal, found = self.goal, hold.obstruction
         self._strategy.stop()
         self._enter(with_held(self._state, Held(hold, now, at)))
-        if found is None:
+        if hold is HOLD:
+            log.info("the goal waits for a gripper goal_id=%s", goal.goal_id)
+        elif found is None:
             log.warning("the goal is held goal_id=%s reason=%s", goal.goal_id, hold.reason)
         else:
             log.warning(

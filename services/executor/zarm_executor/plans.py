@@ -8,7 +8,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
-from zarm_contract.messages import ExecuteRequest, Openings, Plan, Pose, SceneRevision, Touch, Trajectory
+from zarm_contract.messages import (
+    ExecuteRequest,
+    Openings,
+    Plan,
+    PlannedSegment,
+    Pose,
+    SceneRevision,
+    Touch,
+    Trajectory,
+)
 
 REMEMBERED = 32
 """Number of plans that remain executable by id."""
@@ -22,7 +31,7 @@ class Chosen:
     """The plan to execute, or a trajectory without a plan, which need not claim a scene.
 
     `tip` is the goal of the plan, if that is a pose. `segments` are the times (s) at which the segments of a program
-    begin, `touches` where objects may be touched, and `openings` those of the grippers. A plan `along_curve`, on which the tip keeps to lines, arcs or the ways of a program, must not be replanned.
+    begin, `touches` where objects may be touched, `openings` those of the grippers, and `grips` the segments at which they move. A plan `along_curve`, on which the tip keeps to lines, arcs or the ways of a program, must not be replanned.
     """
 
     plan_id: str | None
@@ -33,6 +42,7 @@ class Chosen:
     along_curve: bool = False
     touches: tuple[Touch, ...] = ()
     openings: Openings = ()
+    grips: tuple[PlannedSegment, ...] = ()
 
     @property
     def name(self) -> str:
@@ -88,6 +98,7 @@ class Plans:
             along_curve,
             plan.touches,
             plan.openings,
+            tuple(segment for segment in plan.segments if segment.grip is not None),
         )
 
     def _last(self) -> Plan:

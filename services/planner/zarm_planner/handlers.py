@@ -221,27 +221,26 @@ class Handlers:
         settings = self._settings
         if self._store.lost is not None:
             raise Unavailable(self._store.lost)
-        openings = self.grippers.chosen(request.openings)
 
-        def work(deadline: Deadline) -> tuple[SceneRevision, PlannedProgram, PlanTimings, Array]:
+        def work(deadline: Deadline) -> tuple[ProgramStage, PlannedProgram, Array]:
             start = within_range(self._model, self._measured() if request.start is None else request.start, "start")
             turns = whole_turns(start, self._model.continuous)
             stage = ProgramStage(
-                self._model, self._store, self.scenes, self._limits, settings, request, deadline, openings
+                self._model, self._store, self.scenes, self._limits, settings, request, deadline, self.grippers
             )
             planned = plan_program(
                 stage, start - turns, request.segments, self._planners, deadline.check, partial=request.partial
             )
-            return stage.revision, planned, stage.timer.timings(), turns
+            return stage, planned, turns
 
-        revision, planned, timings, turns = self._scheduler.run(
+        stage, planned, turns = self._scheduler.run(
             work, requester(), request.timeout or settings.timeout, request.request_id
         )
         plan = self._reply(
-            revision,
+            stage.revision,
             planned.verified.shifted(turns),
-            timings,
-            openings,
+            stage.timer.timings(),
+            stage.openings,
             planned.segments,
             planned.touches,
             planned.problem,

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import AttachObject, PlannerSettings, ProgramRequest
-from zarm_geometry.robot_model import Openings, RobotModel
+from zarm_contract.messages import AttachObject, Grip, PlannedGrip, PlannerSettings, ProgramRequest
+from zarm_geometry.gripper_openings import GripperOpenings
+from zarm_geometry.robot_model import RobotModel
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
 from zarm_planner.programs import Scales, SceneChange
@@ -23,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 class ProgramStage:
-    """See `programs.Stage`. `revision` is that of the scene at the start."""
+    """See `programs.Stage`. `revision` is that of the scene, and `openings` are those of the grippers, at the start."""
 
     def __init__(
         self,
@@ -34,9 +35,10 @@ class ProgramStage:
         settings: PlannerSettings,
         request: ProgramRequest,
         deadline: Deadline,
-        openings: Openings,
+        grippers: GripperOpenings,
     ) -> None:
-        self._openings = openings
+        self._grippers = grippers
+        self._openings = self.openings = grippers.chosen(request.openings)
         self._model, self._store, self._scenes, self._limits = model, store, scenes, limits
         self._settings, self._request, self._deadline = settings, request, deadline
         self._scene = store.scene
@@ -77,6 +79,14 @@ class ProgramStage:
         else:
             self._scene = detach(self._scene, change, tip)
         self._changed = self._scenes.ready(self._scene, self._scenes.moved.objects(self._scene), self._openings)
+
+    def grip(self, grip: Grip) -> PlannedGrip:
+        """See `programs.Stage`."""
+        name = self._grippers.named(grip.gripper, "gripper")
+        self._grippers.check(name, grip.width, "width")
+        self._openings = tuple((one, grip.width if one == name else width) for one, width in self._openings)
+        self._changed = self._scenes.ready(self._scene, self._scenes.moved.objects(self._scene), self._openings)
+        return PlannedGrip(gripper=name, width=grip.width, force=grip.force, speed=grip.speed, tolerance=grip.tolerance)
 
     def _without(self, names: Collection[str]) -> ReadyScene:
         """The scene without some of its objects."""

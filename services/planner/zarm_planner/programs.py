@@ -23,12 +23,14 @@ from zarm_contract.messages import (
     Detach,
     DetachObject,
     Goal,
+    Grip,
     JointGoal,
     LineGoal,
     Move,
     Offset,
     PathGoal,
     PathPoint,
+    PlannedGrip,
     PlannedSegment,
     PoseGoal,
     Segment,
@@ -56,6 +58,8 @@ ALONG_CURVE = {*LineGoal.model_fields} & {*PathGoal.model_fields} - {"kind"}
 """The fields that lines and paths have in common."""
 CHANGE_S = 0.2
 """s for which the robot rests while something is attached or detached: the planner edits the scene meanwhile."""
+GRIP_S = 0.5
+"""s for which the robot rests where a gripper moves, besides the time that the gripper takes: it is held within them."""
 _CANDIDATES = 16
 """Most configurations from which the curves after a motion are tried."""
 
@@ -74,6 +78,9 @@ class Stage(Protocol):
 
     def change(self, change: SceneChange, q: Array) -> None:
         """Attach or detach an object with the robot at `q` (dof,). Raises InvalidRequest."""
+
+    def grip(self, grip: Grip) -> PlannedGrip:
+        """Have a gripper at another opening from here on; returns what the executor is to do. Raises InvalidRequest."""
 
 
 @dataclass(frozen=True)
@@ -138,6 +145,7 @@ def plan_program(
         whole = done.kept()
         begin, standing = done.time, tuple({*touched, *_touch_after(segments[number + 1 :])})
         together: Sequence[Segment] = (segment,)
+        grip: PlannedGrip | None = None
         check()
         try:
             match segment:
@@ -157,6 +165,10 @@ def plan_program(
                     stage.change(change, done.q)
                     changes.append((done.time, change, done.q))
                     done.add(TimedTrajectory.standing(done.q, CHANGE_S), standing)
+                case Grip():
+                    grip = stage.grip(segment)
+                    _check_standing(stage.context(scales, standing), done.q, grip)
+                    done.add(TimedTrajectory.standing(done.q, GRIP_S), standing)
         except ZarmError as error:
             failure = _of_segment(error, number, segment, blended=len(together) > 1)
             if not partial or not whole.parts:
@@ -165,10 +177,21 @@ def plan_program(
         passed = len(together) - 1
         ends = [*_passing_times(stage, done, begin, together), done.time]
         for one, (first, last) in zip(together, itertools.pairwise([begin, *ends]), strict=True):
-            planned.append(PlannedSegment(action=one.kind, name=one.name, begin=first, end=last))
+            planned.append(PlannedSegment(action=one.kind, name=one.name, begin=first, end=last, grip=grip))
     if not done.parts:
         raise InvalidRequest("no segment of the program moves the robot; add one of kind move", field="segments")
     return PlannedProgram(_whole(done), tuple(planned), tuple(changes), tuple(done.touches))
+
+
+def _check_standing(context: PlanningContext, q: Array, grip: PlannedGrip) -> None:
+    """Raises PlanningFailed if the fingers would touch something that they may not when they stand."""
+    nearest = context.exact.nearest(q, context.deadline.check)
+    if nearest.distance <= 0.0:
+        a, b = nearest.pair or ("the robot", "itself")
+        raise PlanningFailed(
+            f"with {grip.gripper} at {grip.width:g} m {a} would touch {b}; name what it may touch in `touch` of the motion before",
+            code="start_in_collision",
+        )
 
 
 def blended_lines(segments: Sequence[Segment]) -> tuple[Sequence[Segment], Goal]:

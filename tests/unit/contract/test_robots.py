@@ -59,8 +59,18 @@ def poses(urdf: Urdf, joints: tuple[str, ...], q: np.ndarray) -> dict[str, np.nd
                 roll, pitch, yaw = (turn(axis, angle) for axis, angle in zip(np.eye(3), joint.rpy, strict=True))
                 origin = yaw @ pitch @ roll
                 origin[:3, 3] = joint.xyz
-                found[link] = found[joint.parent] @ origin @ turn(np.array(joint.axis), values.get(joint.name, 0.0))
+                at, axis = values.get(joint.name, 0.0), np.array(joint.axis)
+                found[link] = (
+                    found[joint.parent] @ origin @ (slide(axis, at) if joint.type == "prismatic" else turn(axis, at))
+                )
     return found
+
+
+def slide(axis: np.ndarray, distance: float) -> np.ndarray:
+    """A translation (4, 4) along a unit axis."""
+    pose = np.eye(4)
+    pose[:3, 3] = distance * axis
+    return pose
 
 
 def turn(axis: np.ndarray, angle: float) -> np.ndarray:
@@ -157,11 +167,13 @@ def test_another_reader_of_the_urdf_sees_the_same_kinematics(name: str) -> None:
 
     robot = load_robot(name)
     chain = pytorch_kinematics.build_chain_from_urdf(robot.urdf_path.read_bytes()).to(dtype=torch.float64)
-    assert tuple(chain.get_joint_parameter_names()) == robot.descriptor.joints
-    configurations = random_joints(robot, 20)
-    theirs = chain.forward_kinematics(torch.tensor(configurations))
+    fingers = robot.gripper_positions(dict.fromkeys(robot.descriptor.grippers, 0.03))
+    names = (*robot.descriptor.joints, *fingers)
+    assert tuple(chain.get_joint_parameter_names()) == names
+    configurations = [(*q, *fingers.values()) for q in random_joints(robot, 20)]
+    theirs = chain.forward_kinematics(torch.tensor(configurations, dtype=torch.float64))
     for index, q in enumerate(configurations):
-        for link, pose in poses(robot.urdf, robot.descriptor.joints, q).items():
+        for link, pose in poses(robot.urdf, names, q).items():
             assert same_pose(pose, theirs[link].get_matrix()[min(index, len(theirs[link]) - 1)].numpy()), link
 
 

@@ -43,12 +43,14 @@ from zarm_contract.messages.goals import (
 from zarm_contract.messages.gripper import (
     DriverGripperCommand,
     DriverGripperState,
+    Grip,
     GripperCancel,
     GripperOpening,
     GripperRequest,
     GripperState,
     GripperStatus,
     Openings,
+    PlannedGrip,
 )
 from zarm_contract.messages.motion import (
     JointNames,
@@ -190,6 +192,7 @@ __all__ = [
     "GoalState",
     "GoalStatus",
     "GoalTrajectory",
+    "Grip",
     "GripperCancel",
     "GripperOpening",
     "GripperRequest",
@@ -226,6 +229,7 @@ __all__ = [
     "Plan",
     "PlanRequest",
     "PlanTimings",
+    "PlannedGrip",
     "PlannedSegment",
     "PlannerKind",
     "PlannerSettings",

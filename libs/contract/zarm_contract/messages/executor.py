@@ -115,10 +115,11 @@ class Obstruction(Message):
 class Hold(Message):
     """Why the executor holds a goal; the goal goes on by itself when the reason is gone.
 
-    `obstruction`: something is in the way. `no_guard`: the servo is silent, and the descriptor demands one.
+    `obstruction`: something is in the way. `no_guard`: the servo is silent, and the descriptor demands one. `gripper`: the gripper of a
+    program's segment moves.
     """
 
-    reason: Literal["obstruction", "no_guard"]
+    reason: Literal["obstruction", "no_guard", "gripper"]
     obstruction: Obstruction | None = None
 
 

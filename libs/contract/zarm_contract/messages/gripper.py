@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from zarm_contract._model import ShortMessage
+from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
 from zarm_contract.messages.motion import Name, NonNegative, Positive, SequenceNumber
 
@@ -45,6 +45,33 @@ class GripperRequest(ShortMessage):
         if position is not None and info.data.get("width") is not None:
             raise ValueError("width is given too; give one of them")
         return position
+
+
+class Grip(Message):
+    """In a program: move a gripper to `width` (m), and go on when its fingers stand there, or within `tolerance` (m) of it, as on an object of
+    that width.
+
+    What follows is verified with this opening. Fingers that stand elsewhere, or do not move, end the goal. `gripper`, `force` and `speed` are
+    as in `GripperRequest`.
+    """
+
+    kind: Literal["grip"]
+    width: NonNegative
+    gripper: Name | None = None
+    force: Positive | None = None
+    speed: Positive | None = None
+    tolerance: Annotated[float, Field(gt=0, le=0.005)] = 0.003
+    name: Name | None = None
+
+
+class PlannedGrip(Message):
+    """What a `Grip` has the executor do: see there."""
+
+    gripper: Name
+    width: NonNegative
+    force: Positive | None = None
+    speed: Positive | None = None
+    tolerance: Positive
 
 
 class GripperCancel(ShortMessage):

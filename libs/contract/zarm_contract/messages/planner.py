@@ -9,7 +9,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
 from zarm_contract.messages.goals import Goal, PoseTolerance, TipFrame
-from zarm_contract.messages.gripper import Openings
+from zarm_contract.messages.gripper import Openings, PlannedGrip
 from zarm_contract.messages.motion import (
     Joints,
     Name,
@@ -141,13 +141,14 @@ class TooNear(Message):
 
 class PlannedSegment(Message):
     """A segment of a program: what it does, and when it begins and ends (s). What is attached or detached changes at its
-    beginning.
+    beginning. With `grip` a gripper moves, and the robot waits for it.
     """
 
-    action: Literal["move", "wait", "speed", "attach", "detach"]
+    action: Literal["move", "wait", "speed", "attach", "detach", "grip"]
     name: Name | None = None
     begin: NonNegative
     end: NonNegative
+    grip: PlannedGrip | None = None
 
 
 class Plan(Message):

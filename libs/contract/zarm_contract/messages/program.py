@@ -8,7 +8,7 @@ from pydantic import Field
 
 from zarm_contract._model import Message
 from zarm_contract.messages.goals import Blend, Goal
-from zarm_contract.messages.gripper import Openings
+from zarm_contract.messages.gripper import Grip, Openings
 from zarm_contract.messages.motion import Joints, Name, Scale
 from zarm_contract.messages.planner import Attempts, Margin, Timeout
 
@@ -63,7 +63,7 @@ class Detach(Message):
     name: Name | None = None
 
 
-Segment = Annotated[Move | Wait | SpeedChange | Attach | Detach, Field(discriminator="kind")]
+Segment = Annotated[Move | Wait | SpeedChange | Attach | Detach | Grip, Field(discriminator="kind")]
 
 
 class ProgramRequest(Message):
