@@ -87,6 +87,16 @@ def test_a_grasp_that_cannot_be_reached_opens_nothing(robot: zarm.Robot) -> None
     assert robot.gripper.state().width == pytest.approx(0.0, abs=1e-3)
 
 
+def test_fingers_stand_while_an_unguarded_robot_follows_a_plan(robot: zarm.Robot) -> None:
+    goal = robot.start(robot.plan((1.0, 0.0, 1.5708, 0.0, 1.5708, 0.0), velocity_scale=0.2))
+    with pytest.raises(zarm.Busy, match=f"the robot follows {goal}, which was checked with the fingers where they are"):
+        robot.gripper.close()
+    assert robot.gripper.state().width == pytest.approx(0.08, abs=1e-3)
+    robot.cancel(goal)
+    robot.follow(goal)
+    assert robot.gripper.close().status == "reached"
+
+
 def test_fingers_do_not_open_into_what_stands_beside(robot: zarm.Robot) -> None:
     robot.pick("box", GRASP, width=0.04)
     robot.scene.add(zarm.Cuboid("neighbour", size=(0.04, 0.04, 0.05), position=(0.45, 0.215, 0.025)))
