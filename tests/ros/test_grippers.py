@@ -17,6 +17,7 @@ from sensor_msgs.msg import JointState
 
 import zarm
 from support.harness import PATIENCE, ServiceProcess, eventually, router
+from support.ros.node import destroyed
 from support.ros.stack import KEYS, Stack, stack
 from zarm_contract.robot import ROBOTS, load_robot
 from zarm_runtime.bus import Bus
@@ -46,7 +47,7 @@ def sent(node: Node, position: float, max_effort: float = 0.0) -> tuple[Any, lis
         eventually(result.done, "the goal ends")
         return result.result(), feedback
     finally:
-        client.destroy()
+        destroyed(node, ActionClient.destroy, client)
 
 
 def test_a_gripper_command_moves_the_fingers_and_reports(arm: Stack, node: Node) -> None:
@@ -79,7 +80,7 @@ def test_fingers_are_among_the_joint_states(arm: Stack, node: Node) -> None:
         "the fingers are reported",
     )
     assert list(state.name) == [*PANDA.descriptor.joints, *FINGERS]
-    node.destroy_subscription(subscription)
+    destroyed(node, node.destroy_subscription, subscription)
 
 
 def test_the_client_of_moveit_opens_and_closes(arm: Stack, node: Node) -> None:
@@ -124,9 +125,9 @@ def controller(node: Node, finger: list[float], end: str) -> Iterator[None]:
     try:
         yield
     finally:
-        node.destroy_timer(timer)
-        node.destroy_publisher(states)
-        server.destroy()
+        destroyed(node, node.destroy_timer, timer)
+        destroyed(node, node.destroy_publisher, states)
+        destroyed(node, ActionServer.destroy, server)
 
 
 @pytest.fixture

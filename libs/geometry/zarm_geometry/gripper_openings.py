@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 
 from zarm_contract import messages
-from zarm_contract.errors import InvalidRequest
+from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import GripperOpening, GripperState
 from zarm_contract.robot import RobotDescriptor
 from zarm_geometry.robot_model import Openings
@@ -18,12 +19,19 @@ _DECIMALS = 3
 class GripperOpenings:
     """The openings of a robot's grippers: as published by the executor, and open until then. Thread-safe.
 
-    Calls `changed()` after every change.
+    Calls `changed()` after every change. `ask(name)` asks the executor for the state of a gripper; it raises Unavailable.
     """
 
-    def __init__(self, descriptor: RobotDescriptor, changed: Callable[[], object] = lambda: None) -> None:
+    def __init__(
+        self,
+        descriptor: RobotDescriptor,
+        changed: Callable[[], object] = lambda: None,
+        ask: Callable[[str], GripperState | None] = lambda _: None,
+    ) -> None:
         self._grippers = descriptor.grippers
         self._changed = changed
+        self._ask = ask
+        self._moving: dict[str, GripperState] = {}
         self._lock = threading.Lock()
         self._openings = {name: gripper.open for name, gripper in self._grippers.items()}
 
@@ -33,6 +41,10 @@ class GripperOpenings:
             return
         width = round(state.width, _DECIMALS)
         with self._lock:
+            if state.done:
+                self._moving.pop(state.gripper, None)
+            else:
+                self._moving[state.gripper] = state
             if self._openings[state.gripper] == width:
                 return
             self._openings = {**self._openings, state.gripper: width}
@@ -43,11 +55,20 @@ class GripperOpenings:
         return tuple(sorted(self._openings.items()))
 
     def chosen(self, given: messages.Openings) -> Openings:
-        """The openings that a request gives, and for the other grippers those of now. Raises InvalidRequest."""
-        openings = {opening.gripper: opening.width for opening in given}
-        for i, (name, width) in enumerate(openings.items()):
-            self.named(name, f"openings.{i}.gripper")
-            self.check(name, width, f"openings.{i}.width")
+        """The openings that a request gives, for the other grippers those of now, and for one that moves where its goal leads. Raises
+        InvalidRequest.
+
+        That one moves may be old news: a client that has seen it stand may ask before its last state has arrived here.
+        """
+        for name in [*self._moving]:
+            with suppress(Unavailable):
+                if (state := self._ask(name)) is not None:
+                    self.receive("", state)
+        leads = {name: state.target for name, state in self._moving.items() if state.target is not None}
+        openings = leads | {opening.gripper: opening.width for opening in given}
+        for i, opening in enumerate(given):
+            self.named(opening.gripper, f"openings.{i}.gripper")
+            self.check(opening.gripper, opening.width, f"openings.{i}.width")
         return tuple((name, round(openings.get(name, width), _DECIMALS)) for name, width in self.present())
 
     def named(self, name: str | None, field: str) -> str:

@@ -24,6 +24,7 @@ from zarm_contract.messages import (
     DetachObject,
     FkPoses,
     FkRequest,
+    GripperState,
     IkRequest,
     IkSolutions,
     Move,
@@ -85,7 +86,8 @@ class Handlers:
     the bus.
 
     `measured` returns the robot's current joints (dof,), or raises ExecutionRefused (`no_joint_state`). `is_there`
-    tells whether a client that had left is back. `planners` are those to choose from. `grippers` are as measured.
+    tells whether a client that had left is back. `planners` are those to choose from. `grippers` are as measured; `gripper_state` asks
+    for the state of one.
     """
 
     def __init__(
@@ -96,9 +98,10 @@ class Handlers:
         measured: Callable[[], Array],
         is_there: Callable[[str], bool] = lambda _: False,
         planners: Sequence[Planner] = PLANNERS,
+        gripper_state: Callable[[str], GripperState | None] = lambda _: None,
     ) -> None:
         self._model = model
-        self.grippers = GripperOpenings(model.robot.descriptor)
+        self.grippers = GripperOpenings(model.robot.descriptor, ask=gripper_state)
         self._name = name
         self._store = store
         self._measured = measured

@@ -49,6 +49,8 @@ CAPACITY = 2 * ((os.cpu_count() or 1) + 16)
 own thread, in which it can be cancelled while it waits.
 """
 
+EXECUTOR_PATIENCE = 0.5
+"""Longest wait (s) for the executor to tell where a moving gripper is."""
 _PROGRAM = "program"
 """What programs are called in metrics, beside the names of planners."""
 NEW_OBJECTS = 200_000
@@ -70,7 +72,14 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
     bus, keys = service.bus, service.keys
     model = RobotModel.of(service.robot)
     measured = MeasuredJoints(model, bus.latest(keys.joint_states))
-    handlers = Handlers(model, keys.robot, store, measured, bus.is_there)
+    handlers = Handlers(
+        model,
+        keys.robot,
+        store,
+        measured,
+        bus.is_there,
+        gripper_state=lambda name: bus.read(keys.gripper_state(name), timeout=EXECUTOR_PATIENCE),
+    )
     warm = False
 
     def when_warm(handler: Callable[[Request], Answer]) -> Callable[[Request], Answer]:

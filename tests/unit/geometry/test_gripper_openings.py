@@ -7,7 +7,7 @@ import pytest
 
 from support.planner.second_opinion import Collisions
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import GripperOpening, GripperState, Sphere
+from zarm_contract.messages import GripperOpening, GripperState, GripperStatus, Sphere
 from zarm_contract.robot import load_robot
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.gripper_openings import GripperOpenings
@@ -56,6 +56,24 @@ def test_openings_are_open_then_as_measured_to_the_millimetre() -> None:
     assert openings.present() == (("hand", 0.03),)
     assert len(changes) == 1
     assert openings.chosen((GripperOpening(gripper="hand", width=0.05),)) == (("hand", 0.05),)
+
+
+def moving(width: float, status: GripperStatus = "moving") -> GripperState:
+    return GripperState(gripper="hand", status=status, widths=(0.0, 0.08), width=width, target=0.02, goal_id="grip-1")
+
+
+def test_a_gripper_that_moves_counts_where_its_goal_leads() -> None:
+    openings = GripperOpenings(PANDA.descriptor)
+    openings.receive("", moving(0.06))
+    assert openings.present() == (("hand", 0.06),)
+    assert openings.chosen(()) == (("hand", 0.02),)
+    assert openings.chosen((GripperOpening(gripper="hand", width=0.05),)) == (("hand", 0.05),)
+
+
+def test_whether_it_still_moves_the_executor_is_asked() -> None:
+    openings = GripperOpenings(PANDA.descriptor, ask=lambda _: moving(0.03, "stalled"))
+    openings.receive("", moving(0.06))
+    assert openings.chosen(()) == openings.present() == (("hand", 0.03),)
 
 
 @pytest.mark.parametrize(

@@ -50,8 +50,13 @@ def test_every_pose_is_the_one_that_pytorch_kinematics_computes_from_the_urdf(mo
     text = model.robot.urdf_path.read_text()
     urdf = re.sub(r'(<limit lower="[^"]*" upper="[^"]*")/>', r'\1 effort="1" velocity="1"/>', text)
     chain = pk.build_chain_from_urdf(urdf.encode()).to(dtype=torch.float64)
-    order = [descriptor.joints.index(name) for name in chain.get_joint_parameter_names()]
-    poses = chain.forward_kinematics(torch.tensor(joints[:, order]))
+    fingers = model.robot.gripper_positions({})
+    named = dict(zip(descriptor.joints, joints.T, strict=True)) | {
+        name: np.full(len(joints), at) for name, at in fingers.items()
+    }
+    poses = chain.forward_kinematics(
+        torch.tensor(np.column_stack([named[name] for name in chain.get_joint_parameter_names()]))
+    )
     base = np.linalg.inv(poses[descriptor.base_link].get_matrix().numpy())
     expected = {name: base @ pose.get_matrix().numpy() for name, pose in poses.items()}
     np.testing.assert_allclose(model.fk_tip(joints), expected[descriptor.tip_link], atol=1e-6)

@@ -30,7 +30,7 @@ def imported(file: Path, *links: str) -> tuple[dict[str, Surface], dict[frozense
     surfaces = [surface for surface in found if surface]
     contacts = Contacts(chain, limits_of(robot, chain.joints), surfaces)
     surfaces = without_contradictions(surfaces, contacts)
-    pairs = Pairs(contacts, [around(surface) for surface in surfaces]).judged()
+    pairs = Pairs(contacts, [around(surface) for surface in surfaces], {}).judged()
     return {surface.link: surface for surface in surfaces}, {
         frozenset((pair.first, pair.second)): pair for pair in pairs
     }

@@ -73,7 +73,7 @@ class PlanRequest(Message):
     own links; left out, it is the descriptor's. Two links that are nearer in nearly all configurations keep the distance that they can. Scales are shares of the velocity and acceleration
     limits. With `optimize_s` 0 the same request, scene and `seed` give the same trajectory. With `publish` false only the
     requester gets the plan: it is not on `planner/plans`, and cannot be executed by its id. `openings` are those of the grippers, by
-    default the measured ones, and open before any are measured.
+    default the measured ones, where one moves that to which it moves, and open before any are measured.
     """
 
     goal: Goal
