@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,16 +11,20 @@ from typing import Any
 
 import pytest
 from control_msgs.action import GripperCommand
-from pymoveit2 import GripperInterface
+from moveit_msgs.action import ExecuteTrajectory, MoveGroup
+from moveit_msgs.srv import GetMotionPlan
+from pymoveit2 import GripperInterface, MoveIt2Gripper
 from rclpy.action import ActionClient, ActionServer, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 import zarm
 from support.harness import PATIENCE, ServiceProcess, eventually, router
-from support.ros.node import destroyed
+from support.ros.node import destroyed, spinning
 from support.ros.stack import KEYS, Stack, stack
 from zarm_contract.robot import ROBOTS, load_robot
+from zarm_ros_bridge.moveit.srdf import semantic_description
 from zarm_runtime.bus import Bus
 
 PANDA = load_robot("panda")
@@ -29,9 +34,17 @@ ACTION = "gripper_action_controller/gripper_cmd"
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """An emulated Panda."""
-    with stack(tmp_path_factory.mktemp("panda"), robot="panda") as processes:
+    """An emulated Panda, whose bridge serves MoveIt's interface too."""
+    with stack(tmp_path_factory.mktemp("panda"), robot="panda", ros_bridge=("--moveit",)) as processes:
         yield processes
+
+
+def served(node: Node, *actions: tuple[type[Any], str]) -> None:
+    """Wait until these actions are known to a node."""
+    for kind, name in actions:
+        client = ActionClient(node, kind, name)
+        assert client.wait_for_server(PATIENCE)
+        destroyed(node, ActionClient.destroy, client)
 
 
 def sent(node: Node, position: float, max_effort: float = 0.0) -> tuple[Any, list[Any]]:
@@ -92,10 +105,46 @@ def test_the_client_of_moveit_opens_and_closes(arm: Stack, node: Node) -> None:
         gripper_group_name="hand",
         gripper_command_action_name=ACTION,
     )
+    served(node, (GripperCommand, ACTION), (MoveGroup, "move_action"))
     with zarm.connect(arm.endpoint, "arm") as robot:
         for act, width in ((gripper.close, 0.0), (gripper.open, 0.08)):
             act()
             eventually(lambda width=width: abs((robot.gripper.state().width or 0.0) - width) < 2e-3, f"{width} m")
+
+
+@pytest.mark.parametrize("whole", [True, False], ids=["move_action", "plan and execute"])
+def test_the_group_of_a_gripper_is_planned_and_executed(arm: Stack, whole: bool) -> None:
+    with spinning("hand_client") as client, zarm.connect(arm.endpoint, "arm") as robot:
+        hand = MoveIt2Gripper(
+            node=client,
+            gripper_joint_names=list(FINGERS),
+            open_gripper_joint_positions=[0.04, 0.04],
+            closed_gripper_joint_positions=[0.0, 0.0],
+            gripper_group_name="hand",
+            use_move_group_action=whole,
+            callback_group=ReentrantCallbackGroup(),
+        )
+        served(client, (MoveGroup, "move_action"), (ExecuteTrajectory, "execute_trajectory"))
+        assert client.create_client(GetMotionPlan, "plan_kinematic_path").wait_for_service(PATIENCE)
+        for act, width in ((hand.close, 0.0), (hand.open, 0.08)):
+            act()
+            assert hand.wait_until_executed(PATIENCE)
+            assert robot.gripper.state().width == pytest.approx(width, abs=1e-3)
+
+
+def test_the_semantic_description_has_the_group_of_the_gripper() -> None:
+    root = ET.fromstring(semantic_description(PANDA, "arm"))
+    (group,) = (one for one in root.findall("group") if one.get("name") == "hand")
+    assert [joint.get("name") for joint in group] == list(FINGERS)
+    states = {
+        one.get("name"): [float(joint.get("value", "nan")) for joint in one]
+        for one in root.findall("group_state")
+        if one.get("group") == "hand"
+    }
+    assert states == {"open": [0.04, 0.04], "close": [0.0, 0.0]}
+    effector = root.find("end_effector")
+    assert effector is not None
+    assert (effector.get("parent_link"), effector.get("parent_group")) == ("panda_hand", "arm")
 
 
 @contextmanager

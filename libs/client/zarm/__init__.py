@@ -22,7 +22,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from zarm.connection import CONNECT_SECONDS, connected, robots
-from zarm.gripper import Gripper
+from zarm.gripper import Gripper, GripperOptions
 from zarm.motions import (
     AnyOf,
     Arc,
@@ -101,6 +101,7 @@ __all__ = [
     "GoalState",
     "Grip",
     "Gripper",
+    "GripperOptions",
     "GripperState",
     "Health",
     "InternalError",

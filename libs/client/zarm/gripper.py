@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Generator, Mapping
 from contextlib import suppress
+from typing import TypedDict, Unpack
 
 from zarm.calls import Calls
 from zarm.live import live
@@ -18,56 +19,41 @@ SILENCE = 10.0
 OnProgress = Callable[[GripperState], object]
 
 
+class GripperOptions(TypedDict, total=False):
+    """Options of a motion of a gripper: `force` (N) and `speed` (m/s), by default the greatest; whether it may `preempt` the goal that moves
+    the gripper now; and `on_progress`, which gets each state. Those that are left out, or None, are the defaults.
+    """
+
+    force: float | None
+    speed: float | None
+    preempt: bool
+    on_progress: OnProgress | None
+
+
 class Gripper(Calls):
     """Commands to the grippers of a robot, and their states. `gripper` names one; a robot's only one needs no name."""
 
-    def open(
-        self,
-        gripper: str | None = None,
-        *,
-        force: float | None = None,
-        speed: float | None = None,
-        preempt: bool = False,
-        on_progress: OnProgress | None = None,
-    ) -> GripperState:
+    def open(self, gripper: str | None = None, **options: Unpack[GripperOptions]) -> GripperState:
         """Open a gripper as far as it goes; otherwise as `move`."""
-        width = self.state(gripper).widths[1]
-        return self.move(width, gripper, force=force, speed=speed, preempt=preempt, on_progress=on_progress)
+        return self.move(self.state(gripper).widths[1], gripper, **options)
 
-    def close(
-        self,
-        gripper: str | None = None,
-        *,
-        force: float | None = None,
-        speed: float | None = None,
-        preempt: bool = False,
-        on_progress: OnProgress | None = None,
-    ) -> GripperState:
+    def close(self, gripper: str | None = None, **options: Unpack[GripperOptions]) -> GripperState:
         """Close a gripper until it is closed or something stops the fingers; otherwise as `move`."""
-        width = self.state(gripper).widths[0]
-        return self.move(width, gripper, force=force, speed=speed, preempt=preempt, on_progress=on_progress)
+        return self.move(self.state(gripper).widths[0], gripper, **options)
 
-    def move(
-        self,
-        width: float,
-        gripper: str | None = None,
-        *,
-        force: float | None = None,
-        speed: float | None = None,
-        preempt: bool = False,
-        on_progress: OnProgress | None = None,
-    ) -> GripperState:
+    def move(self, width: float, gripper: str | None = None, **options: Unpack[GripperOptions]) -> GripperState:
         """Move a gripper until it is `width` m open, and wait until the fingers stand. Returns its state: `reached`, or
         `stalled` if something stops them before, usually what they hold.
 
-        `force` (N) and `speed` (m/s) are by default the greatest. While the gripper moves for another goal this raises Busy, unless
-        `preempt` ends that one. Ctrl-C stops the fingers where they are.
+        `options` are `force`, `speed`, `preempt` and `on_progress`: see `zarm.GripperOptions`. Ctrl-C stops the fingers where they are.
 
-        Raises InvalidRequest for a gripper that is not there or a width out of its range, ExecutionFailed if it does not move,
-        and Cancelled if another client stopped it.
+        Raises InvalidRequest for a gripper that is not there or a width out of its range, Busy while it moves for another goal,
+        ExecutionFailed if it does not move, and Cancelled if another client stopped it.
         """
-        request = made(GripperRequest, gripper=gripper, width=width, force=force, speed=speed, preempt=preempt)
-        goal_id = self._ask(self._keys.gripper, request).goal_id
+        fields: dict[str, object] = {**options}
+        on_progress = options.get("on_progress")
+        fields.pop("on_progress", None)
+        goal_id = self._ask(self._keys.gripper, made(GripperRequest, gripper=gripper, width=width, **fields)).goal_id
         try:
             last = self._followed(goal_id, gripper, on_progress)
         except BaseException:

@@ -9,7 +9,7 @@ from typing import Any
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 
@@ -34,6 +34,25 @@ def running_node(name: str) -> Iterator[Node]:
         stack.callback(thread.join)
         stack.callback(ended.set_result, None)
         yield node
+
+
+@contextmanager
+def spinning(name: str) -> Iterator[Node]:
+    """A node whose callbacks run on several threads, as pymoveit2 wants it."""
+    context = Context()
+    rclpy.init(args=[], context=context)
+    node = Node(name, context=context)
+    executor = MultiThreadedExecutor(2, context=context)
+    executor.add_node(node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    try:
+        yield node
+    finally:
+        executor.shutdown()
+        thread.join()
+        node.destroy_node()
+        context.shutdown()
 
 
 def on_its_thread(node: Node, ask: Callable[[], Future]) -> Future:

@@ -23,6 +23,7 @@ from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
 from zarm_ros_bridge.goals import Run
 from zarm_ros_bridge.moveit.error_codes import Refusal, error_code
+from zarm_ros_bridge.moveit.gripper_groups import GripperGroups
 from zarm_ros_bridge.moveit.requests import MotionPlanRequests
 from zarm_ros_bridge.moveit.scene import PlanningScenes
 from zarm_ros_bridge.moveit.states import robot_trajectory, trajectory_start
@@ -76,6 +77,7 @@ class Actions:
         self._frames = frames
         self._requests = requests
         self._scenes = scenes
+        self._grippers = GripperGroups(engine)
         self._turns = turns
         self._log = ros.node.get_logger()
         self.plans = PlansByTrajectory()
@@ -107,6 +109,13 @@ class Actions:
         goal = run.handle.request
         self._scenes.check_diff(goal.planning_options.planning_scene_diff)
         run.handle.publish_feedback(MoveGroup.Feedback(state="PLANNING"))
+        if goal.request.group_name in self._grippers:
+            motion = self._grippers.plan(goal.request)
+            result.trajectory_start, result.planned_trajectory = motion.start, motion.trajectory
+            if not goal.planning_options.plan_only:
+                self._grip(motion.trajectory.joint_trajectory, run)
+                result.executed_trajectory = motion.trajectory
+            return result
         began = time.monotonic()
         plan = self.plans.remember(self._requests.plan(goal.request, run.plan))
         result.planning_time = time.monotonic() - began
@@ -149,12 +158,21 @@ class Actions:
                     "the robot has no joints of several degrees of freedom; leave them out",
                     "trajectory.multi_dof_joint_trajectory",
                 )
+            if self._grip(trajectory.joint_trajectory, run):
+                return ExecuteTrajectory.Result(error_code=error_code(None))
             request = self._request(trajectory.joint_trajectory)
             if request is None:
                 return ExecuteTrajectory.Result(error_code=error_code(None))
             self._started(run, request)
         self._follow(run, run.name, ExecuteTrajectory.Feedback)
         return ExecuteTrajectory.Result(error_code=error_code(None))
+
+    def _grip(self, joint_trajectory: Any, run: Run) -> bool:
+        """Carry out the trajectory of a gripper; returns whether it is one."""
+        name = self._grippers.of_trajectory(joint_trajectory.joint_names)
+        if name is not None:
+            self._grippers.execute(name, joint_trajectory, run)
+        return name is not None
 
     def _request(self, joint_trajectory: Any) -> ExecuteRequest | None:
         """What the executor is to do for a trajectory; None if that is nothing."""

@@ -32,6 +32,7 @@ from zarm_ros_bridge.moveit.actions import Actions, PlansByTrajectory
 from zarm_ros_bridge.moveit.cartesian_path import CartesianPaths
 from zarm_ros_bridge.moveit.display import PlannedPaths
 from zarm_ros_bridge.moveit.error_codes import error_code
+from zarm_ros_bridge.moveit.gripper_groups import GripperGroups
 from zarm_ros_bridge.moveit.kinematics import Kinematics
 from zarm_ros_bridge.moveit.planners import Planners
 from zarm_ros_bridge.moveit.requests import MotionPlanRequests, ask, check_group
@@ -64,7 +65,8 @@ def move_group(
     commands: ServoCommands,
     group: str,
 ) -> Iterator[None]:
-    """Serve on the node of `ros`; call before `spin`. `group` is the name of the only group, the arm."""
+    """Serve on the node of `ros`; call before `spin`. `group` is the name of the arm's group; those of grippers have
+    their own."""
     _describe(ros, engine, group)
     frames.remember()
     requests = MotionPlanRequests(engine, frames, group)
@@ -98,6 +100,7 @@ class Services:
         self._frames = frames
         self._requests = requests
         self._plans = plans
+        self._grippers = GripperGroups(engine)
         self._paths = CartesianPaths(engine, frames, requests.group)
         self._log = ros.node.get_logger()
         kinematics = Kinematics(engine, frames, requests.group)
@@ -137,6 +140,10 @@ class Services:
     def _plan(self, request: Any, response: Any) -> None:
         answer, began = response.motion_plan_response, time.monotonic()
         answer.group_name = request.motion_plan_request.group_name
+        if answer.group_name in self._grippers:
+            motion = self._grippers.plan(request.motion_plan_request)
+            answer.trajectory_start, answer.trajectory = motion.start, motion.trajectory
+            return
         plan = self._plans.remember(
             self._requests.plan(request.motion_plan_request, lambda wanted: ask(self._engine, wanted))
         )

@@ -10,7 +10,9 @@ from zarm_contract.robot import RobotDescription
 
 
 def semantic_description(robot: RobotDescription, group: str) -> str:
-    """The SRDF: the one group, its named state `home`, and the pairs of links that are not checked."""
+    """The SRDF: the group of the arm with its named state `home`, one for each gripper with `open` and `close`, and the pairs of links
+    that are not checked.
+    """
     descriptor = robot.descriptor
     root = ET.Element("robot", name=_urdf_name(robot))
     chain = ET.SubElement(ET.SubElement(root, "group", name=group), "chain")
@@ -19,10 +21,29 @@ def semantic_description(robot: RobotDescription, group: str) -> str:
     state = ET.SubElement(root, "group_state", name="home", group=group)
     for joint, value in zip(descriptor.joints, descriptor.home, strict=True):
         ET.SubElement(state, "joint", name=joint, value=repr(value))
+    for name in descriptor.grippers:
+        _add_gripper(root, robot, group, name)
     for one, other, reason in _unchecked(robot):
         ET.SubElement(root, "disable_collisions", link1=one, link2=other, reason=reason)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode")
+
+
+def _add_gripper(root: ET.Element, robot: RobotDescription, arm: str, name: str) -> None:
+    gripper = robot.descriptor.grippers[name]
+    joints = gripper.joints(robot.urdf)
+    group = ET.SubElement(root, "group", name=name)
+    for joint in joints:
+        ET.SubElement(group, "joint", name=joint)
+    for called, width in (("open", gripper.open), ("close", gripper.closed)):
+        state = ET.SubElement(root, "group_state", name=called, group=name)
+        for joint, (multiplier, offset) in joints.items():
+            ET.SubElement(state, "joint", name=joint, value=repr(multiplier * gripper.position(width) + offset))
+    palm = next(joint.parent for joint in robot.urdf.joint_of_child.values() if joint.name == gripper.joint)
+    ET.SubElement(root, "end_effector", name=name, parent_link=palm, group=name, parent_group=arm)
+    for joint in joints:
+        if joint != gripper.joint:
+            ET.SubElement(root, "passive_joint", name=joint)
 
 
 def _unchecked(robot: RobotDescription) -> Iterator[tuple[str, str, str]]:
