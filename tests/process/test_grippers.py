@@ -206,6 +206,20 @@ def test_a_program_waits_for_its_grippers_and_goes_on(cell: Cell) -> None:
     assert cell.robot.gripper.state().width == pytest.approx(0.08, abs=1e-3)
 
 
+def test_a_program_may_begin_with_a_grip_and_be_paused_at_it(cell: Cell) -> None:
+    plan = cell.robot.plan_program([zarm.Grip(0.0, speed=0.02), zarm.Grip(0.04), zarm.Move(BEHIND)])
+    goal = cell.robot.start(plan)
+    eventually(lambda: cell.robot.gripper.state().status == "moving", "the gripper moves")
+    cell.robot.pause()
+    eventually(lambda: cell.robot.gripper.state().status == "reached", "the fingers are closed")
+    eventually(lambda: cell.robot.state().mode == "paused", "the robot is paused")
+    assert cell.robot.joint_state().position == pytest.approx(HOME)
+    cell.robot.resume()
+    assert cell.robot.follow(goal).status == "succeeded"
+    assert cell.robot.gripper.state().width == pytest.approx(0.04, abs=1e-3)
+    assert cell.robot.joint_state().position == pytest.approx(BEHIND, abs=1e-3)
+
+
 def test_what_follows_a_grip_is_verified_with_its_opening(cell: Cell) -> None:
     """At the end the open finger touches a pin: it may be closed there, and not be opened."""
     cell.robot.plan_program([zarm.Move(BEHIND), zarm.Grip(0.0), zarm.Move(HOME)])
