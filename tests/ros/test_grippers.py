@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 from control_msgs.action import GripperCommand
-from moveit_msgs.action import ExecuteTrajectory, MoveGroup
 from moveit_msgs.srv import GetMotionPlan
 from pymoveit2 import GripperInterface, MoveIt2Gripper
 from rclpy.action import ActionClient, ActionServer, GoalResponse
@@ -21,7 +20,7 @@ from sensor_msgs.msg import JointState
 
 import zarm
 from support.harness import PATIENCE, ServiceProcess, eventually, router
-from support.ros.node import destroyed, spinning
+from support.ros.node import destroyed, served, spinning
 from support.ros.stack import KEYS, Stack, stack
 from zarm_contract.robot import ROBOTS, load_robot
 from zarm_ros_bridge.moveit.srdf import semantic_description
@@ -37,14 +36,6 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     """An emulated Panda, whose bridge serves MoveIt's interface too."""
     with stack(tmp_path_factory.mktemp("panda"), robot="panda", ros_bridge=("--moveit",)) as processes:
         yield processes
-
-
-def served(node: Node, *actions: tuple[type[Any], str]) -> None:
-    """Wait until these actions are known to a node."""
-    for kind, name in actions:
-        client = ActionClient(node, kind, name)
-        assert client.wait_for_server(PATIENCE)
-        destroyed(node, ActionClient.destroy, client)
 
 
 def sent(node: Node, position: float, max_effort: float = 0.0) -> tuple[Any, list[Any]]:
@@ -105,7 +96,7 @@ def test_the_client_of_moveit_opens_and_closes(arm: Stack, node: Node) -> None:
         gripper_group_name="hand",
         gripper_command_action_name=ACTION,
     )
-    served(node, (GripperCommand, ACTION), (MoveGroup, "move_action"))
+    served(node, ACTION, "move_action")
     with zarm.connect(arm.endpoint, "arm") as robot:
         for act, width in ((gripper.close, 0.0), (gripper.open, 0.08)):
             act()
@@ -124,7 +115,7 @@ def test_the_group_of_a_gripper_is_planned_and_executed(arm: Stack, whole: bool)
             use_move_group_action=whole,
             callback_group=ReentrantCallbackGroup(),
         )
-        served(client, (MoveGroup, "move_action"), (ExecuteTrajectory, "execute_trajectory"))
+        served(client, "move_action", "execute_trajectory")
         assert client.create_client(GetMotionPlan, "plan_kinematic_path").wait_for_service(PATIENCE)
         for act, width in ((hand.close, 0.0), (hand.open, 0.08)):
             act()

@@ -7,15 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import trimesh
-from moveit_msgs.action import MoveGroup
 from pymoveit2 import MoveIt2
 from pymoveit2.robot_description import RobotDescription
-from rclpy.action import ActionClient
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
 from support.harness import PATIENCE, eventually
-from support.ros.node import answer
+from support.ros.node import answer, served
 from support.ros.stack import KEYS, Stack
 from zarm.connection import Connection
 from zarm.robot import Robot
@@ -65,8 +63,7 @@ def test_joints_are_planned_and_executed(moveit: MoveIt2, robot: Robot) -> None:
 
 
 def test_move_action_plans_and_executes(arm: Stack, client: Node, group: ReentrantCallbackGroup, robot: Robot) -> None:
-    action = ActionClient(client, MoveGroup, "move_action")
-    assert action.wait_for_server(PATIENCE)
+    served(client, "move_action")
 
     def moved() -> bool:
         """rclpy's client of actions loses an answer that comes while it still sends."""
@@ -80,9 +77,7 @@ def test_move_action_plans_and_executes(arm: Stack, client: Node, group: Reentra
             use_move_group_action=True,
         )
         moveit.move_to_pose(position=(0.5, -0.2, 0.5), quat_xyzw=DOWN)
-        done = moveit.wait_until_executed(timeout_sec=PATIENCE / 4)
-        moveit.destroy()
-        return bool(done)
+        return bool(moveit.wait_until_executed(timeout_sec=PATIENCE / 4))
 
     eventually(moved, "the robot has moved")
     assert np.allclose(robot.tip().position, (0.5, -0.2, 0.5), atol=1e-3)

@@ -59,4 +59,3 @@ def test_twists_and_joint_jogs_move_the_robot_until_it_is_paused(
         servo.servo_jog(["joint_1"], velocities=[0.2])
     assert np.allclose(robot.joint_state().position, rest, atol=1e-4)
     servo.shutdown(PATIENCE)
-    servo.destroy()

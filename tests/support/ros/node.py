@@ -13,7 +13,7 @@ from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 
-from support.harness import PATIENCE
+from support.harness import PATIENCE, eventually
 
 
 @contextmanager
@@ -60,6 +60,14 @@ def on_its_thread(node: Node, ask: Callable[[], Future]) -> Future:
     asked.
     """
     return answer(node.executor.create_task(ask), "the node's thread has asked")
+
+
+def served(node: Node, *actions: str) -> None:
+    """Wait until these actions are known to a node, by what their servers publish: a client made to see it would have to be destroyed,
+    which rclpy does not do while the node waits.
+    """
+    for action in actions:
+        eventually(lambda action=action: node.count_publishers(f"{action}/_action/status"), f"{action} is served")
 
 
 def destroyed(node: Node, destroy: Callable[[Any], object], part: Any) -> None:
