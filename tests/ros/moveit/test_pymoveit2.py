@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 import trimesh
@@ -26,12 +24,10 @@ AT = (0.55, 0.2, 0.4)
 
 
 @pytest.fixture
-def moveit(arm: Stack, client: Node, group: ReentrantCallbackGroup) -> Iterator[MoveIt2]:
+def moveit(arm: Stack, client: Node, group: ReentrantCallbackGroup) -> MoveIt2:
     """The client as its users make it, from the descriptions that move_group has."""
     described = RobotDescription.from_node(client, timeout_sec=PATIENCE)
-    moveit = MoveIt2(node=client, callback_group=group, **described.moveit2_kwargs())
-    yield moveit
-    moveit.destroy()
+    return MoveIt2(node=client, callback_group=group, **described.moveit2_kwargs())
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from support.harness import PATIENCE, eventually
 from support.ros.goals import ABORTED, CANCELED, SUCCEEDED, Sent
+from support.ros.node import destroyed
 from support.ros.stack import KEYS, Stack
 from zarm.connection import Connection
 from zarm.robot import Robot
@@ -39,7 +40,7 @@ def controller(arm: Stack, robot: Robot) -> Iterator[ActionClient]:
     client = ActionClient(arm.ros.node, FollowJointTrajectory, "/zarm_controller/follow_joint_trajectory")
     assert client.wait_for_server(PATIENCE)
     yield client
-    client.destroy()
+    destroyed(arm.ros.node, ActionClient.destroy, client)
 
 
 def goal(*points: tuple[float, Sequence[float]], names: Sequence[str] = JOINTS, **fields: object) -> object:
