@@ -17,6 +17,7 @@ import zarm
 from support.command_line import zarm as run_zarm
 from support.harness import PATIENCE, ServiceProcess, eventually, router
 from support.planner.second_opinion import link_pose
+from zarm_contract.codec import encode
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
     DriverFault,
@@ -98,6 +99,26 @@ def test_a_plan_holds_for_the_opening_it_was_made_with(cell: Cell) -> None:
         cell.robot.execute(plan)
     assert refused.value.code == "stale_plan"
     assert cell.robot.execute(cell.robot.plan(BEHIND)).status == "succeeded"
+
+
+def test_a_saved_plan_keeps_the_opening_that_it_holds_for(cell: Cell, tmp_path: Path) -> None:
+    file, to = tmp_path / "plan.json", ",".join(map(str, BEHIND))
+    saved = run_zarm("plan", "--joints", to, "--save", str(file), ZARM_CONNECT=cell.endpoint)
+    assert saved.returncode == 0, saved.stderr
+    cell.robot.gripper.close()
+    refused = run_zarm("execute", "--plan", str(file), ZARM_CONNECT=cell.endpoint)
+    assert "stale_plan: the trajectory was verified with hand at 0.08 m" in refused.stderr
+    cell.robot.gripper.open()
+    assert run_zarm("execute", "--plan", str(file), ZARM_CONNECT=cell.endpoint).returncode == 0
+
+
+def test_a_saved_plan_that_would_leave_its_grips_out_is_refused(cell: Cell, tmp_path: Path) -> None:
+    file = tmp_path / "plan.json"
+    file.write_bytes(encode(cell.robot.plan_program(picking(0.03))))
+    refused = run_zarm("execute", "--plan", str(file), ZARM_CONNECT=cell.endpoint)
+    assert "a segment that would be left out, grip; run the program" in refused.stderr
+    assert refused.returncode == 1
+    assert cell.robot.joint_state().position == pytest.approx(HOME)
 
 
 def test_collision_geometry_follows_the_measured_opening(cell: Cell) -> None:

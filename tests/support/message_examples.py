@@ -329,7 +329,11 @@ EXAMPLES: tuple[Message, ...] = (
     m.SceneEdited(revision=_REVISION, count=4, notes=("crate: a hole of at most 10 mm closed",)),
     # executor
     m.ExecuteRequest(plan_id="plan-1", preempt=True, goal_id="goal-1", replan=True),
-    m.ExecuteRequest(trajectory=_TRAJECTORY, scene_revision=_REVISION),
+    m.ExecuteRequest(
+        trajectory=_TRAJECTORY,
+        scene_revision=_REVISION,
+        openings=(m.GripperOpening(gripper="hand", width=0.04),),
+    ),
     m.Accepted(goal_id="goal-1"),
     m.GoalState(
         goal_id="goal-1",

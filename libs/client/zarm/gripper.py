@@ -53,12 +53,16 @@ class Gripper(Calls):
         fields: dict[str, object] = {**options}
         on_progress = options.get("on_progress")
         fields.pop("on_progress", None)
-        goal_id = self._ask(self._keys.gripper, made(GripperRequest, gripper=gripper, width=width, **fields)).goal_id
+        request = made(GripperRequest, gripper=gripper, width=width, **fields)
+        try:
+            goal_id = self._ask(self._keys.gripper, request).goal_id
+        except (Unavailable, KeyboardInterrupt):  # the executor may have received the request
+            self._stop(gripper)
+            raise
         try:
             last = self._followed(goal_id, gripper, on_progress)
         except BaseException:
-            with suppress(Unavailable):
-                self.cancel(gripper)
+            self._stop(gripper)
             raise
         if last.goal_id != goal_id:
             raise Cancelled(f"{last.goal_id} took the place of this goal of {last.gripper}")
@@ -99,6 +103,10 @@ class Gripper(Calls):
     def states(self, gripper: str | None = None) -> Generator[GripperState]:
         """The present state of a gripper, then every change; endless."""
         return self.connection.latched(self._keys.gripper_state(gripper or "*"))
+
+    def _stop(self, gripper: str | None) -> None:
+        with suppress(Unavailable):
+            self.cancel(gripper)
 
     def _followed(self, goal_id: str, gripper: str | None, on_progress: OnProgress | None) -> GripperState:
         reported_at = time.monotonic()

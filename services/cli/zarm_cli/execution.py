@@ -36,7 +36,7 @@ from zarm_cli.goals import (
 )
 from zarm_cli.output import SCENE_CHANGED, err, facts, held_by, out, print_json, reached, share_text
 from zarm_cli.planning import VelocityScale, read_plan, request_plan
-from zarm_contract.errors import ZarmError, from_problem
+from zarm_contract.errors import InvalidRequest, ZarmError, from_problem
 from zarm_contract.messages import ExecuteRequest, ExecutorState, GoalState, PlannedSegment, Speed
 from zarm_runtime.session import DEFAULT_ENDPOINT
 
@@ -105,7 +105,12 @@ def execute(
 def _saved(file: Path) -> ExecuteRequest:
     """The request to execute a saved plan. It contains the motion itself, so no service has to remember that plan."""
     plan = read_plan(file)
-    return ExecuteRequest(trajectory=plan.trajectory, scene_revision=plan.scene_revision)
+    acts = next((segment.action for segment in plan.segments if segment.action in ("grip", "attach", "detach")), None)
+    if acts is not None:
+        raise InvalidRequest(
+            f"{file} is the plan of a program with a segment that would be left out, {acts}; run the program: `zarm program run`"
+        )
+    return ExecuteRequest(trajectory=plan.trajectory, scene_revision=plan.scene_revision, openings=plan.openings)
 
 
 def _bring_to_rest(robot: Robot) -> None:

@@ -41,9 +41,8 @@ class Goal:
     `scene` is the scene revision in which the goal began, or in which the newest chunk of a stream arrived; None if
     none was known. `verified` is the revision in which the trajectory was verified, or None; `number` counts its
     trajectories. If `replan` is set, the servo may replace the trajectory, also by one to other joints if the goal is
-    the pose `tip`. `segments` are the times (s) at which those of a program begin, `touches` where it may touch objects, and
-    `openings` those of the grippers with which it was verified, and `grips` where
-    grippers move. `monitor` watches the motion.
+    the pose `tip`. `segments` are the times (s) at which those of a program begin, `touches` where it may touch objects,
+    `openings` those of the grippers with which it was verified, and `grips` where grippers move. `monitor` watches the motion.
     """
 
     goal_id: str

@@ -134,7 +134,7 @@ class Grippers:
         """
         with self._starting:
             for opening in openings:
-                self._demand(what, opening.gripper, opening.width)
+                self._demand(what, self._named(opening.gripper), opening.width)
             yield
 
     def _demand(self, what: str, name: str, planned: float) -> None:

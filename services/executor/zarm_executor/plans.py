@@ -78,7 +78,7 @@ class Plans:
         Raises InvalidRequest for an unknown plan, ExecutionRefused (`stale_plan`) for one of another robot.
         """
         if request.trajectory is not None:
-            return Chosen(None, request.trajectory, request.scene_revision)
+            return Chosen(None, request.trajectory, request.scene_revision, openings=request.openings)
         plan = self._last() if request.plan_id is None else self._named(request.plan_id)
         if plan.robot_hash != self._robot_hash:
             raise ExecutionRefused(

@@ -21,7 +21,8 @@ SpeedScale = Annotated[float, Field(ge=0.05, le=1)]
 class ExecuteRequest(Message):
     """Start a goal: the plan `plan_id`, any `trajectory`, or with an empty request the last plan.
 
-    `scene_revision` says in which scene a trajectory was verified; the request is refused if the scene has changed since.
+    `scene_revision` says in which scene a trajectory was verified, and `openings` with which openings of grippers; the request is refused
+    if one of them has changed since.
     While another goal is active the answer is `busy`. With `preempt` that goal is cancelled instead; when the robot rests, this
     goal is checked against its position and starts.
 
@@ -39,6 +40,7 @@ class ExecuteRequest(Message):
     preempt: bool = False
     goal_id: Name | None = None
     replan: bool = False
+    openings: Openings = ()
 
     @field_validator("trajectory")
     @classmethod
@@ -53,6 +55,13 @@ class ExecuteRequest(Message):
         if revision is not None and info.data.get("trajectory", revision) is None:
             raise ValueError("scene_revision belongs to a trajectory; a plan carries its own")
         return revision
+
+    @field_validator("openings")
+    @classmethod
+    def _with_a_trajectory(cls, openings: Openings, info: ValidationInfo) -> Openings:
+        if openings and info.data.get("trajectory", openings) is None:
+            raise ValueError("openings belong to a trajectory; a plan carries its own")
+        return openings
 
 
 class Accepted(Message):
