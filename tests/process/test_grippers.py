@@ -16,7 +16,7 @@ import pytest
 import zarm
 from support.command_line import zarm as run_zarm
 from support.harness import PATIENCE, ServiceProcess, eventually, router
-from support.planner.second_opinion import link_pose
+from support.planner.second_opinion import Collisions, link_pose
 from zarm_contract.codec import encode
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
@@ -197,6 +197,46 @@ def test_fingers_that_open_beside_something_hold_the_guarded_arm(cell: Cell) -> 
     assert held.hold.obstruction.object == "pin"
     robot.gripper.close()
     assert robot.follow(goal).status == "succeeded"
+
+
+def test_fingers_that_open_beside_nothing_hold_no_guarded_arm(cell: Cell) -> None:
+    """The open fingers would touch the pin; these are checked where they are."""
+    robot = cell.robot
+    robot.gripper.close()
+    pin = link_pose(PANDA, "panda_leftfinger", (0.5, *HOME[1:])) @ [0.0, 0.012, 0.044, 1.0]
+    robot.scene.add(zarm.Sphere("pin", radius=0.004, position=pin[:3]))
+    goal = robot.start(robot.plan(BEHIND, velocity_scale=0.1))
+    eventually(lambda: robot.state().guarded, "a servo guards the motion")
+    robot.gripper.move(0.02)
+    states = list(robot.goal_states(goal))
+    assert states[-1].status == "succeeded"
+    assert [state.hold for state in states if state.hold is not None] == []
+
+
+def test_a_tracked_target_beside_a_pin_is_reached_with_closed_fingers_alone(cell: Cell) -> None:
+    start, to = (0.6, *HOME[1:]), (0.2, *HOME[1:])
+    pin = link_pose(PANDA, "panda_leftfinger", to) @ [0.0, 0.012, 0.044, 1.0]
+    ball = zarm.Sphere("pin", radius=0.004, position=pin[:3])
+    for width in (0.0, 0.08):
+        cell.home()
+        cell.robot.execute(cell.robot.plan(start))
+        cell.robot.gripper.move(width)
+        cell.robot.scene.add(ball)
+        passed: list[tuple[float, ...]] = []
+        with cell.robot.track() as tracking:
+
+            def ends(
+                width: float = width, tracking: zarm.Tracking = tracking, passed: list[tuple[float, ...]] = passed
+            ) -> bool:
+                tracking.to(to)
+                passed.append(cell.robot.joint_state().position)
+                if width == 0.0:
+                    return bool(np.allclose(passed[-1], to, atol=0.01))
+                return passed[-1][0] < 0.55 and passed[-1] == passed[-2]
+
+            eventually(ends, "it is there, or stands before the pin")
+        collisions = Collisions(PANDA, [ball], widths={"hand": width})
+        assert not any(collisions.at(q) for q in passed)
 
 
 def picking(width: float, **grip: float) -> list[object]:

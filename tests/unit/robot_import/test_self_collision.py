@@ -22,15 +22,17 @@ from zarm_robot_import.source import read_source
 from zarm_robot_import.visual_meshes import without_contradictions
 
 
-def imported(file: Path, *links: str) -> tuple[dict[str, Surface], dict[frozenset[str], Pair]]:
-    """What is taken of some links of an arm, and their pairs, with one ball around each as its exact geometry."""
+def imported(file: Path, *links: str, travel: float = 0.0) -> tuple[dict[str, Surface], dict[frozenset[str], Pair]]:
+    """What is taken of some links of an arm, and their pairs, with one ball around each as its exact geometry; a gripper moves the last
+    one by `travel` (m).
+    """
     robot = describe(read_source(file))
     chain = choose_chain(robot)
     found = [link_surface(robot.source, robot.links[link]) for link in links]
     surfaces = [surface for surface in found if surface]
     contacts = Contacts(chain, limits_of(robot, chain.joints), surfaces)
     surfaces = without_contradictions(surfaces, contacts)
-    pairs = Pairs(contacts, [around(surface) for surface in surfaces], {}).judged()
+    pairs = Pairs(contacts, [around(surface) for surface in surfaces], {links[-1]: travel}).judged()
     return {surface.link: surface for surface in surfaces}, {
         frozenset((pair.first, pair.second)): pair for pair in pairs
     }
@@ -76,6 +78,13 @@ def test_a_pair_that_parts_stays_checked_though_what_contains_it_always_touches(
     surfaces, pairs = imported(arm(tmp_path, BAR), "post", "elbow", "bar")
     assert not pairs[ENDS].ignored
     assert surfaces["bar"].kind == "collision"
+
+
+def test_a_pair_that_a_gripper_may_bring_together_stays_checked(tmp_path: Path) -> None:
+    file = arm(tmp_path, '<geometry><box size="0.02 0.02 0.02"/></geometry>')
+    file.write_text(file.read_text().replace('xyz="0 0 0.3"', 'xyz="0 0 0.33"'))
+    assert imported(file, "post", "elbow", "bar")[1][ENDS].ignored
+    assert not imported(file, "post", "elbow", "bar", travel=0.03)[1][ENDS].ignored
 
 
 def test_what_is_seen_of_a_link_is_kept_however_far_it_sticks_out(tmp_path: Path) -> None:
