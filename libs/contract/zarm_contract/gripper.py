@@ -55,6 +55,11 @@ class Gripper(Section):
         """Opening of the open gripper (m)."""
         return self.widths[-1]
 
+    @property
+    def joint_speed(self) -> float:
+        """The speed of the joint (rad/s, m/s) at which the opening changes by 1 m/s, on average."""
+        return abs(self.positions[-1] - self.positions[0]) / (self.open - self.closed)
+
     def position(self, width: float) -> float:
         """The position of the joint (rad, m) at which the opening is `width` m, within the range of the gripper."""
         return _between(self.widths, self.positions, width)

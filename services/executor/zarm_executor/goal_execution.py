@@ -151,8 +151,8 @@ class GoalExecution:
         openings: Openings,
         until: float | None = None,
     ) -> None:
-        """Continue along `trajectory`, verified in that scene with these openings of grippers, from the path time `at` (s) on; this releases a held
-        goal.
+        """Continue along `trajectory`, verified in that scene with these openings of grippers, from the path time `at` (s) on; this
+        releases a held goal.
 
         The robot may go up to the time `until` (s) of `trajectory`, or to its end if None.
 
@@ -181,8 +181,8 @@ class GoalExecution:
         openings: Openings,
         until: float | None = None,
     ) -> None:
-        """Continue along `trajectory`, verified in that scene with these openings of grippers, from where the robot rests, held by its authority;
-        `monitor` watches it.
+        """Continue along `trajectory`, verified in that scene with these openings of grippers, from where the robot rests, held by its
+        authority; `monitor` watches it.
 
         The robot may go up to the time `until` (s) of `trajectory`, or to its end if None.
 

@@ -66,7 +66,7 @@ class GripperControl:
                 self._end("cancelled", Problem(code="cancelled", message=f"{goal_id} took its place"))
             before, now = self._width(), time.monotonic()
             self._goal = _Goal(goal_id, width, now, before, before, now)
-            self._link.command(self._gripper.position(width), speed * self._ratio(), force)
+            self._link.command(self._gripper.position(width), speed * self._gripper.joint_speed, force)
 
     def cancel(self, why: str) -> None:
         """Stop the fingers where they are, if a goal moves them."""
@@ -75,7 +75,7 @@ class GripperControl:
                 return
             measured = None if self._link is None else self._link.measured()
             if self._link is not None and measured is not None:
-                self._link.command(measured[0], self._gripper.speed * self._ratio(), self._gripper.force)
+                self._link.command(measured[0], self._gripper.speed * self._gripper.joint_speed, self._gripper.force)
             self._end("cancelled", Problem(code="cancelled", message=why))
 
     def switch(self, link: GripperLink | None) -> None:
@@ -163,11 +163,6 @@ class GripperControl:
     def _width(self) -> float | None:
         measured = None if self._link is None else self._link.measured()
         return None if measured is None else self._gripper.width(measured[0])
-
-    def _ratio(self) -> float:
-        """How much the joint moves (rad, m) for each metre of the opening."""
-        positions, widths = self._gripper.positions, self._gripper.widths
-        return abs(positions[-1] - positions[0]) / (widths[-1] - widths[0])
 
     def _abort(self, why: str) -> None:
         self._end("aborted", Problem(code="driver_stalled", message=why))

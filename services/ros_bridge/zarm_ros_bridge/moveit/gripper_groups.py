@@ -59,8 +59,8 @@ class GripperGroups:
         end = _inside(gripper, self._driven(name, known[0].joint_name, finite(known[0].position, field)), field)
         measured = self._engine.client.gripper.state(name).position
         begin = gripper.positions[-1] if measured is None else measured
-        speed = gripper.speed * abs(gripper.positions[-1] - gripper.positions[0]) / (gripper.open - gripper.closed)
-        return GripperMotion(self._state(name, begin), self._trajectory(name, begin, end, abs(end - begin) / speed))
+        duration = abs(end - begin) / (gripper.speed * gripper.joint_speed)
+        return GripperMotion(self._state(name, begin), self._trajectory(name, begin, end, duration))
 
     def of_trajectory(self, names: Sequence[str]) -> str | None:
         """The gripper that a trajectory of these joints moves; None if it is none."""
