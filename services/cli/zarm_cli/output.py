@@ -40,7 +40,7 @@ def held_by(hold: Hold) -> str:
     """Why a goal is held, in a sentence without its full stop."""
     found = hold.obstruction
     if hold.reason == "gripper":
-        return "it waits for its gripper"
+        return "its gripper moves"
     if found is None:
         return "no servo guards it, and the descriptor demands one"
     late = "" if found.avoidable else ", and contact could not be avoided any more"

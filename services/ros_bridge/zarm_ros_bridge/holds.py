@@ -13,7 +13,7 @@ def waiting(goal: GoalState | None) -> str | None:
 def _reason(hold: Hold) -> str:
     found = hold.obstruction
     if hold.reason == "gripper":
-        return "it waits for its gripper"
+        return "its gripper moves"
     if hold.reason == "no_guard":
         return "no servo is heard, and this robot moves under one alone (execution.guard); start the servo"
     if found is None:
