@@ -6,7 +6,7 @@ import difflib
 import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -16,7 +16,8 @@ from zarm_contract._faults import field_path, one_line, sentence
 from zarm_contract.document import Document, KeyPath, read_document
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.gripper import Gripper
-from zarm_contract.messages import Joints, NonNegative, Positive, Quaternion, SpeedScale, Vector3
+from zarm_contract.group import JointGroup
+from zarm_contract.messages import GroupName, Joints, NonNegative, Positive, Quaternion, SpeedScale, Vector3
 from zarm_contract.section import Section
 from zarm_contract.strategies import DRIVER_STRATEGIES, DriverStrategyName
 from zarm_contract.urdf import Urdf, load_urdf
@@ -228,9 +229,10 @@ class RobotDescriptor(Section):
     base_link: str
     """The link that does not move. Poses are given in its frame."""
     tip_link: str
-    """The link whose pose a goal gives: the flange, or the tool centre point."""
+    """The link whose pose a goal gives: the flange, or the tool centre point. With `groups`, the tip of one of them."""
     joints: tuple[str, ...] = Field(min_length=1, max_length=32)
-    """The moving joints from `base_link` to `tip_link`, in this order. Every joint vector follows it."""
+    """The moving joints from `base_link` to `tip_link`, in this order; with `groups`, those of all groups, each after the joint that
+    carries it. Every joint vector follows it."""
     home: Joints
     """A pose to start from (rad): elbow bent, far from joint limits and singularities, free of self-collision."""
     cspace: CSpace
@@ -247,6 +249,9 @@ class RobotDescriptor(Section):
     """Distance that a plan keeps between links (m), unless its request says another."""
     grippers: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")], Gripper] = Field(default={}, max_length=8)
     """The robot's grippers by name."""
+    groups: dict[GroupName, JointGroup] = Field(default={}, max_length=16)
+    """Joint groups by name, for a robot with several arms, or an arm on a torso or an axis: what a request may plan for. A request that names no
+    group is for all joints. Left out: the robot is one arm."""
     tool: ToolSpeeds = ToolSpeeds()
     """How the tip moves along lines, arcs and paths, unless the request says otherwise."""
     interpolation_dt: Annotated[float, Field(ge=0.001, le=0.1)] = 0.02
@@ -299,6 +304,11 @@ class RobotDescriptor(Section):
             for name, gripper in self.grippers.items()
             if driven.count(gripper.joint) > 1
         ]
+        faults += [
+            f"groups.{name}.{key}: {fault}"
+            for name, group in self.groups.items()
+            for key, fault in group.faults(self.groups)
+        ]
         if self.strategy_params is not None:
             faults += [f"strategy_params.{fault}" for fault in self.strategy_params.faults(self.joints)]
             period, chunk = self.execution.control_period, self.strategy_params.chunk_period
@@ -323,7 +333,7 @@ class RobotDescription:
 
     `path` is the descriptor's file. `lower` and `upper` are the position limits of `descriptor.joints` (rad), from
     the URDF; those of a continuous joint, which turns freely, are infinite. `hash` names this exact content: two services that show different hashes
-    know different robots.
+    know different robots. `whole` is given for a `group` of a robot.
     """
 
     descriptor: RobotDescriptor
@@ -333,6 +343,56 @@ class RobotDescription:
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     hash: str
+    whole: RobotDescription | None = None
+
+    @property
+    def tips(self) -> tuple[str, ...]:
+        """The tips of all groups; without groups, the `tip_link`."""
+        tips = (group.tip_link for group in self.descriptor.groups.values() if group.tip_link is not None)
+        return tuple(dict.fromkeys(tips)) or (self.descriptor.tip_link,)
+
+    def group_joints(self, name: str, field: str = "group") -> tuple[str, ...]:
+        """The joints of a group, in the order of the robot's. Raises InvalidRequest that names the `field`."""
+        known, base_link = self.descriptor.groups, self.descriptor.base_link
+        if name not in known:
+            names = f"its groups are {', '.join(known)}" if known else "it is one arm: leave the group out"
+            raise InvalidRequest(f"{self.descriptor.name} has no group {name}; {names}", field=field)
+        parts = known[name].groups or (name,)
+        moving = {joint for part in parts for joint in known[part].moving(self.urdf, base_link)}
+        return tuple(joint for joint in self.descriptor.joints if joint in moving)
+
+    def tip_of(self, groups: Sequence[str]) -> str:
+        """The tip of the first of these groups; without any, the `tip_link`."""
+        if not groups:
+            return self.descriptor.tip_link
+        first = self.descriptor.groups[groups[0]]
+        return first.tip_link or self.tip_of(first.groups)
+
+    def group(self, *names: str) -> RobotDescription:
+        """This robot with the joints of these groups alone, and the tip of the first; `whole` is the robot. Raises
+        InvalidRequest for unknown groups.
+        """
+        moving = {joint for name in names for joint in self.group_joints(name)}
+        at = [index for index, joint in enumerate(self.descriptor.joints) if joint in moving]
+        limits = self.descriptor.cspace
+        cspace = CSpace.model_construct(
+            velocity=tuple(limits.velocity[k] for k in at),
+            acceleration=tuple(limits.acceleration[k] for k in at),
+            jerk=tuple(limits.jerk[k] for k in at),
+        )
+        update = {
+            "joints": tuple(self.descriptor.joints[k] for k in at),
+            "tip_link": self.tip_of(names),
+            "home": tuple(self.descriptor.home[k] for k in at),
+            "cspace": cspace,
+        }
+        return replace(
+            self,
+            descriptor=self.descriptor.model_copy(update=update),
+            lower=tuple(self.lower[k] for k in at),
+            upper=tuple(self.upper[k] for k in at),
+            whole=self,
+        )
 
     @property
     def continuous(self) -> tuple[bool, ...]:
@@ -418,15 +478,11 @@ def _against_urdf(robot: RobotDescriptor, urdf: Urdf) -> list[tuple[KeyPath, str
     ]
     if faults:
         return faults
-    try:
-        chain = urdf.chain(robot.base_link, robot.tip_link)
-    except InvalidRequest as error:
-        return [(("tip_link",), error.problem.message)]
-    moving = [joint for joint in chain if joint.type != "fixed"]
-    if tuple(joint.name for joint in moving) != robot.joints:
-        names = [joint.name for joint in moving]
-        return [(("joints",), f"the moving joints from base_link to tip_link are {names}; list them in this order")]
-    for index, (joint, value) in enumerate(zip(moving, robot.home, strict=True)):
+    if faults := [*_group_faults(robot, urdf)] if robot.groups else [*_chain_faults(robot, urdf)]:
+        return faults
+    joints = {joint.name: joint for joint in urdf.joint_of_child.values()}
+    for index, (name, value) in enumerate(zip(robot.joints, robot.home, strict=True)):
+        joint = joints[name]
         if joint.lower is not None and joint.upper is not None and not joint.lower <= value <= joint.upper:
             limits = f"{joint.lower} to {joint.upper}"
             faults.append((("home", index), f"{value} is outside the limits of {joint.name}: {limits}"))
@@ -436,6 +492,43 @@ def _against_urdf(robot: RobotDescriptor, urdf: Urdf) -> list[tuple[KeyPath, str
         for key, fault in gripper.faults_in(urdf, robot.joints)
     ]
     return faults + [(("collision", link), fault) for link in robot.collision for fault in _mount(robot, urdf, link)]
+
+
+def _chain_faults(robot: RobotDescriptor, urdf: Urdf) -> Iterator[tuple[KeyPath, str]]:
+    """What is wrong with the joints of one arm."""
+    try:
+        chain = urdf.chain(robot.base_link, robot.tip_link)
+    except InvalidRequest as error:
+        yield ("tip_link",), error.problem.message
+        return
+    names = tuple(joint.name for joint in chain if joint.type != "fixed")
+    if names != robot.joints:
+        yield ("joints",), f"the moving joints from base_link to tip_link are {[*names]}; list them in this order"
+
+
+def _group_faults(robot: RobotDescriptor, urdf: Urdf) -> Iterator[tuple[KeyPath, str]]:
+    """What is wrong with the joints of a robot with groups."""
+    moving = {joint.name: joint for joint in urdf.joint_of_child.values() if joint.type != "fixed"}
+    for index, name in enumerate(robot.joints):
+        if name not in moving:
+            yield ("joints", index), f"{name} is not a moving joint of the URDF; those are {', '.join(moving)}"
+            continue
+        try:
+            carriers = urdf.chain(robot.base_link, moving[name].parent)
+        except InvalidRequest as error:
+            yield ("joints", index), error.problem.message
+            continue
+        for carrier in carriers:
+            if carrier.name in robot.joints[index:]:
+                yield ("joints", index), f"{carrier.name} carries {name}; list it before"
+        if not any(name in group.moving(urdf, robot.base_link) for group in robot.groups.values()):
+            yield ("joints", index), f"no group moves {name}; add it to one in `groups`"
+    tips = [group.tip_link for group in robot.groups.values() if group.tip_link is not None]
+    if robot.tip_link not in tips:
+        yield ("tip_link",), f"{robot.tip_link} is the tip of no group; those are {', '.join(tips)}"
+    for name, group in robot.groups.items():
+        for key, fault in group.faults_in(urdf, robot.base_link, robot.joints):
+            yield ("groups", name, key), fault
 
 
 def _mount(robot: RobotDescriptor, urdf: Urdf, link: str) -> Iterator[str]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ class Body:
 
     It is fixed at `pose` (4, 4) to the moving joint `joint`, or to the base if that is -1. In its own frame `balls` (n,
     4), x, y, z and radius (m), cover its exact `shapes`. It may touch the bodies named in `touches`. `origin` (4, 4) is
-    the frame of the link, or of the object, in that of the joint.
+    the frame of the link, or of the object, in that of the joint. `around` (4,) is a ball around all `balls`.
     """
 
     name: str
@@ -36,34 +37,50 @@ class Body:
     balls: Array
     shapes: tuple[Shape, ...]
     touches: frozenset[str]
+    around: Array
 
     @property
     def placed_balls(self) -> Array:
         """The balls (n, 4) in the joint's frame."""
-        return np.column_stack((self.balls[:, :3] @ self.pose[:3, :3].T + self.pose[:3, 3], self.balls[:, 3]))
+        return self._placed(self.balls)
+
+    @property
+    def placed_around(self) -> Array:
+        """The ball around all (4,) in the joint's frame."""
+        around: Array = self._placed(self.around[None])[0]
+        return around
+
+    def carried(self, joint: int, frame: Array) -> Self:
+        """The same body, carried by another joint, in whose frame the present one's is `frame` (4, 4)."""
+        return replace(self, joint=joint, pose=frame @ self.pose, origin=frame @ self.origin)
+
+    def _placed(self, balls: Array) -> Array:
+        return np.column_stack((balls[:, :3] @ self.pose[:3, :3].T + self.pose[:3, 3], balls[:, 3]))
 
 
-def link_body(robot: RobotDescription, link: str, grippers: Mapping[str, float]) -> Body:
+def link_body(robot: RobotDescription, link: str, standing: Mapping[str, float]) -> Body:
     """A link of the descriptor as a body; it may touch the links paired with it in `self_collision_ignore`.
 
-    `grippers` are the positions of the grippers' joints.
+    `standing` are the positions of joints that are not among the robot's: those of grippers, and of other groups.
     """
     descriptor = robot.descriptor
-    passed, pose = along(robot.urdf.chain(descriptor.base_link, link), grippers)
+    passed, pose = along(robot.urdf.chain(descriptor.base_link, link), standing)
     beside = [set(pair) for pair in descriptor.self_collision_ignore if link in pair]
+    balls = np.array([[*ball.center, ball.radius] for ball in descriptor.spheres[link]])
     return Body(
         name=link,
-        joint=len(passed) - 1,
+        joint=descriptor.joints.index(passed[-1][0]) if passed else -1,
         pose=pose,
         origin=pose,
-        balls=np.array([[*ball.center, ball.radius] for ball in descriptor.spheres[link]]),
+        balls=balls,
         shapes=tuple(link_shape(link, item) for item in descriptor.collision[link]),
         touches=frozenset().union(*beside),
+        around=bounding_ball(balls),
     )
 
 
-def attached_body(item: Attached, dof: int, tip: Array) -> Body:
-    """An attached object as a body, named as in the scene and fixed to the tip (4, 4) in the last joint."""
+def attached_body(item: Attached, joint: int, tip: Array) -> Body:
+    """An attached object as a body, named as in the scene and fixed to the frame `tip` (4, 4) in that of a joint."""
     name = item.object.name
     parts = [item.object] if not isinstance(item.object, Mesh | Voxels) else item.parts
     shapes = tuple(obstacle_shape(name, row) for row in primitives(parts))
@@ -72,16 +89,30 @@ def attached_body(item: Attached, dof: int, tip: Array) -> Body:
     origin = tip @ (
         matrix(placed.position) if isinstance(placed, Sphere) else matrix(placed.position, placed.orientation)
     )
-    return Body(name, dof - 1, tip, origin, balls, shapes, touches=frozenset(item.touch_links))
+    return Body(name, joint, tip, origin, balls, shapes, frozenset(item.touch_links), bounding_ball(balls))
 
 
-def along(chain: tuple[Joint, ...], standing: Mapping[str, float]) -> tuple[list[Array], Array]:
-    """Along a chain: each moving joint's frame in the previous one (3, 4), and the chain's end (4, 4) in the last.
+def bounding_ball(balls: Array) -> Array:
+    """A small ball (4,) around balls (n, 4): the centre moves towards the farthest one in decreasing steps.
+
+    Badoiu and Clarkson, "Smaller core-sets for balls", 2003.
+    """
+    center = balls[:, :3].mean(axis=0)
+    for step in range(1, 200):
+        away = balls[:, :3] - center
+        farthest = int(np.argmax(np.linalg.norm(away, axis=1) + balls[:, 3]))
+        center = center + away[farthest] / (step + 1)
+    radius = float(np.max(np.linalg.norm(balls[:, :3] - center, axis=1) + balls[:, 3]))
+    return np.array([*center, radius])
+
+
+def along(chain: Sequence[Joint], standing: Mapping[str, float]) -> tuple[list[tuple[str, Array]], Array]:
+    """Along a chain: each moving joint with its frame in the previous one (3, 4), and the chain's end (4, 4) in the last.
 
     Joints in `standing` stand at these positions (rad, m), as fixed ones do. The frame of a moving joint is rotated so that its axis
     is z: the kernels need only one kind of rotation.
     """
-    origins: list[Array] = []
+    origins: list[tuple[str, Array]] = []
     pose = np.eye(4)
     for joint in chain:
         pose = pose @ _pose(joint)
@@ -89,7 +120,7 @@ def along(chain: tuple[Joint, ...], standing: Mapping[str, float]) -> tuple[list
             pose = pose @ _moved(joint, standing[joint.name])
         elif joint.type != "fixed":
             turn = _turn(joint.axis)
-            origins.append((pose @ turn)[:3])
+            origins.append((joint.name, (pose @ turn)[:3]))
             pose = turn.T
     return origins, pose
 

@@ -8,7 +8,7 @@ bounds stay apart.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -56,7 +56,7 @@ class ExactScene:
     """
 
     def __init__(self, model: RobotModel, world: World) -> None:
-        self.model, self._world = model, world
+        self.model, self.world = model, world
         self._body, self.reach = robot_parts(model)
         self._obstacles = obstacles(world)
         self._asked = subjects(model, self._body)
@@ -145,7 +145,7 @@ class ExactScene:
     @cached_property
     def solids(self) -> tuple[MotionBody, Obstacles, Solids]:
         """The same robot and obstacles for `kernels.nearby`."""
-        return motion_body(self._body, self._asked, kept_margin(self.model)), self._obstacles, solids(self._world.rows)
+        return motion_body(self._body, self._asked, kept_margin(self.model)), self._obstacles, solids(self.world.rows)
 
     def bounds(self, q: Array, check: Callable[[], None], asked: NDArray[np.bool_], within: float = FARTHEST) -> Array:
         """Rows (m, 5) of `clearance.look` that include the smallest distance over `q` (n, dof), if it is below `within`
@@ -155,7 +155,7 @@ class ExactScene:
             return np.empty((0, 5))
         motion = search(self._body, q, asked)
         found, smallest = begin(
-            self._body, self.model.cover, self._obstacles, self._world.arrays.shapes, motion, asked, within
+            self._body, self.model.cover, self._obstacles, self.world.arrays.shapes, motion, asked, within
         )
         over, looks = False, [found]
         while not over:
@@ -166,7 +166,7 @@ class ExactScene:
 
     def _names(self, part: int, other: int) -> tuple[str, str]:
         """Names of a part and the `other` of `clearance.look`."""
-        name = self._world.names[self._world.owner[other]] if other >= 0 else self.model.parts[-1 - other][1].name
+        name = self.world.names[self.world.owner[other]] if other >= 0 else self.model.parts[-1 - other][1].name
         return self.model.parts[part][1].name, name
 
     def _measure(self, q: Array, part: int, other: int, upper: float) -> float:
@@ -179,7 +179,7 @@ class ExactScene:
         links = self.model.link_transforms(q)
         link, shape = self.model.parts[part]
         if other >= 0:
-            found = obstacle_shape(self._world.names[self._world.owner[other]], self._world.rows[other])
+            found = obstacle_shape(self.world.names[self.world.owner[other]], self.world.rows[other])
             return shape, links[link] @ shape.pose, found, found.pose
         other_link, other_shape = self.model.parts[-1 - other]
         return shape, links[link] @ shape.pose, other_shape, links[other_link] @ other_shape.pose
@@ -211,20 +211,22 @@ def robot_parts(model: RobotModel) -> tuple[RobotParts, Array]:
     shapes = [shape for _, shape in model.parts]
     pose = np.array([shape.pose for shape in shapes]).reshape(-1, 4, 4)
     extents = np.array([(*shape.core, shape.disc, shape.rounding, shape.radius) for shape in shapes]).reshape(-1, 6)
-    reach = _reach(model, link, pose, extents[:, 5])
+    far = np.linalg.norm((model.offset[link] @ pose)[:, :3, 3], axis=1) + extents[:, 5]
     around, spread = np.zeros((len(model.links), 4)), np.zeros(len(model.links))
-    of_link = np.zeros((len(model.links), model.dof))
+    paths, beyond = _paths(model)
+    reach = np.zeros((len(paths), model.dof))
+    movers = [*range(len(model.links)), *model.pairs[:, 1].tolist()]
     for i in np.flatnonzero(np.diff(first)).tolist():
         parts = slice(first[i], first[i + 1])
         centers, radii = pose[parts, :3, 3], extents[parts, 5]
         around[i, :3] = ((centers.T - radii).min(axis=1) + (centers.T + radii).max(axis=1)) / 2
         away = np.linalg.norm(centers - around[i, :3], axis=1)
         around[i, 3], spread[i] = np.max(away + radii), np.max(away + radii - extents[parts, 4])
-        of_link[i] = reach[parts].max(axis=0)
-    # Both links of a pair are moved as one by the joints up to that of the first.
-    first_link, second_link = model.pairs.T
-    of_pair = of_link[second_link] * (np.arange(model.dof) > model.link_joint[first_link, None])
+    for subject, (path, mover) in enumerate(zip(paths, movers, strict=True)):
+        parts = slice(first[mover], first[mover + 1])
+        reach[subject] = _reach(model, path, far[parts].max(initial=0.0), model.link_joint[mover])
     body = RobotParts(
+        parent=model.parent,
         origin=model.origin,
         revolute=model.revolute,
         link_joint=model.link_joint,
@@ -235,22 +237,39 @@ def robot_parts(model: RobotModel) -> tuple[RobotParts, Array]:
         pose=pose,
         extents=extents,
         pairs=model.pairs,
-        reach=np.concatenate([of_link, of_pair]),
+        reach=reach,
+        path=np.array([joint for path in paths for joint in path], np.int32),
+        path_first=np.cumsum([0, *map(len, paths)], dtype=np.int32),
+        beyond=beyond,
     )
-    return body, reach.max(axis=0, initial=0.0)
+    return body, reach[: len(model.links)].max(axis=0, initial=0.0)
 
 
-def _reach(model: RobotModel, link: NDArray[np.intp], pose: Array, radius: Array) -> Array:
-    """How far (parts, dof) a point of each part moves at most per rad (m if prismatic) of each joint.
+def _paths(model: RobotModel) -> tuple[list[list[int]], NDArray[np.int32]]:
+    """`path` of each subject of `RobotParts`, and `beyond`."""
+    inwards = [model.ancestors(joint) for joint in model.link_joint.tolist()]
+    paths, beyond = [*inwards], np.full((len(model.pairs), 2), -1, np.int32)
+    for pair, (first, second) in enumerate(model.pairs.tolist()):
+        # Both links are moved as one by the joints up to the last common one.
+        own = [joint for joint in inwards[second] if joint not in inwards[first]]
+        others = [joint for joint in inwards[first] if joint not in inwards[second]][::-1]
+        paths.append(own + others)
+        beyond[pair] = own[-1] if own else -1, others[0] if others else -1
+    return paths, beyond
 
-    From the joint outwards, as if the arm could always be fully stretched.
+
+def _reach(model: RobotModel, path: Sequence[int], extent: float, carrier: int) -> Array:
+    """How far (dof,) a point moves at most per rad (m if prismatic) of each joint along a path from its carrier, where it
+    is within `extent` m of the carrier's frame.
+
+    From there on, as if the robot could always be fully stretched.
     """
-    slide = np.where(model.revolute, 0.0, np.maximum(abs(model.lower), abs(model.upper)))
-    stretch = (np.linalg.norm(model.origin[:, :, 3], axis=1) + slide).tolist()
-    extents = (np.linalg.norm((model.offset[link] @ pose)[:, :3, 3], axis=1) + radius).tolist()
-    reach = np.zeros((len(link), model.dof))
-    for i, (extent, carrier) in enumerate(zip(extents, model.link_joint[link].tolist(), strict=True)):
-        for joint in range(carrier, -1, -1):
-            reach[i, joint] = extent if model.revolute[joint] else 1.0
-            extent += stretch[joint]
+    reach = np.zeros(model.dof)
+    inwards = model.ancestors(carrier)
+    for joint in path:
+        if joint not in inwards:
+            extent += model.stretch[joint]
+        reach[joint] = extent if model.revolute[joint] else 1.0
+        if joint in inwards:
+            extent += model.stretch[joint]
     return reach

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Attached
 from zarm_contract.robot import RobotDescription
-from zarm_geometry.body import Body, along, attached_body, link_body
+from zarm_geometry.body import Body, along, attached_body, bounding_ball, link_body
+from zarm_geometry.joint_tree import Index, JointTree, Place
 from zarm_geometry.kernels.arrays import RobotArrays
 from zarm_geometry.kernels.broad_phase import Cover
 from zarm_geometry.kernels.kinematics import frames
@@ -33,6 +34,13 @@ _COVER = 12
 """Most balls around an exact shape in the broad phase."""
 
 
+class Whole(NamedTuple):
+    """The robot that a group belongs to, and the place of each of its joints among those of the group."""
+
+    model: RobotModel
+    places: tuple[Place, ...]
+
+
 @dataclass(frozen=True)
 class RobotModel:
     """One robot in arrays; every joint vector follows the descriptor's `joints`, every pose is in its `base_link`.
@@ -41,7 +49,8 @@ class RobotModel:
     `bodies` are all collision bodies, in kinematic order, and `links` their names; `link_joint` (links,) is the moving
     joint that carries each, -1 for the base. `pairs` (n, 2) are the indices of those that can collide with each other:
     all except pairs that may touch, or belong to the same rigid body. `parts` are the exact shapes, each with the index
-    of the link in whose frame it is.
+    of the link in whose frame it is. `tip_joint` is the joint that carries the tip. The model of a group belongs to that
+    of the `whole` robot.
     """
 
     robot: RobotDescription
@@ -53,23 +62,39 @@ class RobotModel:
     jerk: Array
     bodies: tuple[Body, ...]
     links: tuple[str, ...]
-    link_joint: NDArray[np.int32]
-    pairs: NDArray[np.int32]
+    link_joint: Index
+    pairs: Index
     parts: tuple[tuple[int, Shape], ...]
-    origin: Array
-    revolute: NDArray[np.bool_]
+    tree: JointTree
     offset: Array
     weight: NDArray[np.float32]
     arrays: RobotArrays
+    tip_joint: int
+    whole: Whole | None
 
     @classmethod
     def of(cls, robot: RobotDescription) -> Self:
         """Pack a robot without attached objects, its grippers open."""
-        descriptor = robot.descriptor
-        origins, tip = along(robot.urdf.chain(descriptor.base_link, descriptor.tip_link), {})
         grippers = robot.gripper_positions({})
-        bodies = [link_body(robot, link, grippers) for link in descriptor.spheres]
-        return cls._packed(robot, np.array(origins), tip, bodies)
+        bodies = [link_body(robot, link, grippers) for link in robot.descriptor.spheres]
+        passed, tip = along(robot.urdf.chain(robot.descriptor.base_link, robot.descriptor.tip_link), {})
+        return cls._packed(robot, JointTree.of(robot), (robot.descriptor.joints.index(passed[-1][0]), tip), bodies)
+
+    def group(self, names: Sequence[str], q: Array, without: Collection[str] = ()) -> Self:
+        """The model of the joints of some groups, with the tip of the first. The other joints stand as in `q` (dof,);
+        `without` are links and attached objects that are left out. Raises InvalidRequest.
+        """
+        robot, joints = self.robot.group(*names), self.robot.descriptor.joints
+        moving = [joints.index(joint) for joint in robot.descriptor.joints]
+        frames = self._frames(q, np.arange(self.dof, dtype=np.int32), np.repeat(np.eye(4)[None], self.dof, axis=0))
+        tree, places = self.tree.standing(moving, frames)
+        tip = _placed(self.mount(robot.descriptor.tip_link), places)
+        bodies = [
+            body if body.joint < 0 else body.carried(*places[body.joint])
+            for body in self.bodies
+            if body.name not in without
+        ]
+        return self._packed(robot, tree, tip, bodies, Whole(self, tuple(places)))
 
     def with_attached(
         self, attached: Sequence[Attached], ignored_links: Sequence[str], openings: Openings = ()
@@ -77,16 +102,58 @@ class RobotModel:
         """This robot with one more body for each attached object, without the ignored links, and with grippers at these
         `openings`; those left out are open.
 
-        The object is fixed to the tip and named as in the scene; it may touch its `touch_links`.
+        The object is named as in the scene; it may touch its `touch_links`.
         """
         grippers = self.robot.descriptor.grippers
         openings = tuple((name, width) for name, width in openings if width != grippers[name].open)
         if not attached and not ignored_links and not openings:
             return self
-        tip = self.offset[-1]
         bodies = [body for body in self._at(openings) if body.name not in ignored_links]
-        bodies += [attached_body(item, self.dof, tip) for item in attached]
-        return self._packed(self.robot, self.origin, tip, bodies)
+        bodies += [attached_body(item, *self.mount(self.carrier(item))) for item in attached]
+        return self._packed(self.robot, self.tree, (self.tip_joint, self.offset[-1]), bodies)
+
+    def carrier(self, item: Attached) -> str:
+        """The link to which an object is attached."""
+        return item.link or self.robot.descriptor.tip_link
+
+    def mount(self, link: str) -> Place:
+        """The joint that carries a link, -1 for the base, and the link (4, 4) in that joint's frame. Raises
+        InvalidRequest for a link that is not of this robot, or is moved by other joints too.
+        """
+        if self.whole is not None:
+            return _placed(self.whole.model.mount(link), self.whole.places)
+        descriptor = self.robot.descriptor
+        chain = self.robot.urdf.chain(descriptor.base_link, link)
+        for joint in chain:
+            if joint.type != "fixed" and joint.name not in descriptor.joints:
+                raise InvalidRequest(f"{link} hangs on {joint.name}, which is not a joint of the robot")
+        passed, pose = along(chain, {})
+        return descriptor.joints.index(passed[-1][0]) if passed else -1, pose
+
+    def ancestors(self, joint: int) -> list[int]:
+        """A joint and those that carry it, inwards; none for the base (-1)."""
+        return self.tree.ancestors(joint)
+
+    @property
+    def parent(self) -> Index:
+        """The joint that carries each joint (dof,), an earlier one or -1 for the base."""
+        return self.tree.parent
+
+    @property
+    def origin(self) -> Array:
+        """Each joint's frame (dof, 3, 4) in its parent's at 0, with the axis along z."""
+        return self.tree.origin
+
+    @property
+    def revolute(self) -> NDArray[np.bool_]:
+        """Which joints (dof,) turn; the others slide."""
+        return self.tree.revolute
+
+    @cached_property
+    def stretch(self) -> list[float]:
+        """How far (m) each joint's frame can be from that of its parent."""
+        slide = np.where(self.revolute, 0.0, np.maximum(abs(self.lower), abs(self.upper)))
+        return list((np.linalg.norm(self.origin[:, :, 3], axis=1) + slide).tolist())
 
     def _at(self, openings: Openings) -> list[Body]:
         """The links, those of the grippers at these openings."""
@@ -103,14 +170,14 @@ class RobotModel:
         ]
 
     @classmethod
-    def _packed(cls, robot: RobotDescription, origin: Array, tip: Array, bodies: Sequence[Body]) -> Self:
-        """The model of a robot with these bodies; `origin` (dof, 3, 4) and `tip` (4, 4) as in `body.along`."""
+    def _packed(
+        cls, robot: RobotDescription, tree: JointTree, tip: Place, bodies: Sequence[Body], whole: Whole | None = None
+    ) -> Self:
+        """The model of a robot with these bodies."""
         descriptor = robot.descriptor
         # In kinematic order, so that kernels finish the links of one joint before they go on to the next.
         bodies = sorted(bodies, key=lambda body: body.joint)
         link_joint = np.array([body.joint for body in bodies], np.int32)
-        moving = {joint.name: joint for joint in robot.urdf.joint_of_child.values()}
-        revolute = np.array([moving[name].type != "prismatic" for name in descriptor.joints])
         pairs = [
             (i, j)
             for (i, a), (j, b) in combinations(enumerate(bodies), 2)
@@ -121,7 +188,7 @@ class RobotModel:
         pair_array = np.array(pairs, np.int32).reshape(-1, 2)
         lower, upper = np.array(robot.lower), np.array(robot.upper)
         spheres = [body.placed_balls for body in bodies]
-        reach = _reach(origin, revolute, np.maximum(abs(lower), abs(upper)), link_joint, spheres)
+        reach = _reach(tree, np.maximum(abs(lower), abs(upper)), link_joint, spheres)
         return cls(
             robot=robot,
             dof=len(descriptor.joints),
@@ -135,21 +202,24 @@ class RobotModel:
             link_joint=link_joint,
             pairs=pair_array,
             parts=tuple((i, shape) for i, body in enumerate(bodies) for shape in body.shapes),
-            origin=origin,
-            revolute=revolute,
-            offset=np.array([*(body.pose for body in bodies), tip]),
+            tree=tree,
+            offset=np.array([*(body.pose for body in bodies), tip[1]]),
             weight=_weight(reach),
             arrays=RobotArrays(
-                origin=origin.astype(np.float32),
-                revolute=revolute.astype(np.uint8),
+                parent=tree.parent,
+                origin=tree.origin.astype(np.float32),
+                revolute=tree.revolute.astype(np.uint8),
                 link_joint=link_joint,
                 link_first=np.cumsum([0, *(len(balls) for balls in spheres)], dtype=np.int32),
                 spheres=np.concatenate([np.empty((0, 4)), *spheres]).astype(np.float32),
-                bounds=np.array([_bounding_sphere(balls) for balls in spheres], np.float32).reshape(-1, 4),
+                bounds=np.array([body.placed_around for body in bodies], np.float32).reshape(-1, 4),
                 pairs=np.array(searched, np.int32).reshape(-1, 2),
+                common=tree.common(link_joint, np.array(searched, np.int32).reshape(-1, 2)),
                 apart=np.zeros(len(searched), np.float32),
                 reach=reach,
             ),
+            tip_joint=tip[0],
+            whole=whole,
         )
 
     def with_self_margin(self, margin: float) -> Self:
@@ -178,23 +248,44 @@ class RobotModel:
         """The distance (n,) in m that each pair of links in `arrays.pairs` can be required to keep, see
         `self_margin.pair_room`.
         """
+        if self.whole is not None:
+            return self._room_of_whole(self.whole.model)
         q = np.random.default_rng(0).uniform(*self.range_about(np.zeros(self.dof)), (CONFIGURATIONS, self.dof))
         return pair_room(self.bodies, self.link_transforms(q), self.arrays.pairs)
+
+    def _room_of_whole(self, whole: RobotModel) -> Array:
+        """`pair_room` as in the whole robot, whose other joints move too."""
+        names = [frozenset((whole.links[i], whole.links[j])) for i, j in whole.arrays.pairs.tolist()]
+        known = dict(zip(names, whole.pair_room.tolist(), strict=True))
+        return np.array([known[frozenset((self.links[i], self.links[j]))] for i, j in self.arrays.pairs.tolist()])
+
+    @cached_property
+    def _covers(self) -> dict[str, tuple[Array, Array]]:
+        """By body, balls around its exact shapes, and a ball around these, in its own frame."""
+        if self.whole is not None:
+            return self.whole.model._covers
+        covers = {}
+        for body in self.bodies:
+            balls = np.concatenate([np.empty((0, 4)), *(sphere_cover(shape, _COVER) for shape in body.shapes)])
+            covers[body.name] = balls, bounding_ball(balls) if len(balls) else np.zeros(4)
+        return covers
 
     @cached_property
     def cover(self) -> Cover:
         """Balls around the exact `parts`, whatever the spheres of the descriptor contain."""
-        balls = [
-            np.concatenate([np.empty((0, 4)), *(sphere_cover(shape, _COVER) for shape in body.shapes)])
+        covered = [
+            replace(body, balls=balls, around=around)
             for body in self.bodies
+            for balls, around in (self._covers[body.name],)
         ]
-        placed = [replace(body, balls=own).placed_balls for body, own in zip(self.bodies, balls, strict=True)]
-        around = [_bounding_sphere(own) if len(own) else np.zeros(4) for own in placed]
+        placed = [body.placed_balls for body in covered]
+        around = [body.placed_around for body in covered]
         spread = [
             np.linalg.norm(own[:, :3] - ball[:3], axis=1).max(initial=0.0)
             for own, ball in zip(placed, around, strict=True)
         ]
         return Cover(
+            parent=self.parent,
             origin=self.arrays.origin,
             revolute=self.arrays.revolute,
             balls=np.concatenate([np.empty((0, 4)), *placed]).astype(np.float32),
@@ -206,6 +297,11 @@ class RobotModel:
         """The pose of `tip_link` (..., 4, 4) for joints (..., dof)."""
         return self._frames(q, *self._tip)[..., 0, :, :]
 
+    def fk_link(self, link: str, q: ArrayLike) -> Array:
+        """The pose of a link (..., 4, 4) for joints (..., dof). Raises InvalidRequest for one that is not of this robot."""
+        joint, offset = self.mount(link)
+        return self._frames(q, np.array([joint], np.int32), offset[None])[..., 0, :, :]
+
     def fk_joint(self, joint: int, q: ArrayLike) -> Array:
         """The frame (..., 4, 4) that a joint moves for joints (..., dof); -1 is the base."""
         return self._frames(q, np.array([joint], np.int32), np.eye(4)[None])[..., 0, :, :]
@@ -214,17 +310,18 @@ class RobotModel:
         """The tip Jacobian (6, dof) at `q` (dof,): m/rad and rad/rad (m/m and 0 if prismatic), base frame."""
         out = np.empty((1, self.dof + 1, 4, 4))
         joint, offset = self._joints_and_tip
-        frames(self.origin, self.revolute, joint, offset, np.array(q, np.float64, ndmin=2), out)
+        frames(self.parent, self.origin, self.revolute, joint, offset, np.array(q, np.float64, ndmin=2), out)
         axes, arms = out[0, :-1, :3, 2], out[0, -1, :3, 3] - out[0, :-1, :3, 3]
         (a, b, c), (x, y, z) = axes.T, arms.T
         turning = (b * z - c * y, c * x - a * z, a * y - b * x, a, b, c)
         sliding = (a, b, c, 0 * a, 0 * b, 0 * c)
-        return np.where(self.revolute, turning, sliding)
+        moves = np.isin(np.arange(self.dof), self.ancestors(self.tip_joint))
+        return np.where(moves, np.where(self.revolute, turning, sliding), 0.0)
 
     @cached_property
-    def _joints_and_tip(self) -> tuple[NDArray[np.int32], Array]:
+    def _joints_and_tip(self) -> tuple[Index, Array]:
         """The frames of all joints and of the tip, as `kernels.kinematics.frames` takes them."""
-        joint = np.append(np.arange(self.dof), self.dof - 1).astype(np.int32)
+        joint = np.append(np.arange(self.dof), self.tip_joint).astype(np.int32)
         return joint, np.append(np.repeat(np.eye(4)[None], self.dof, axis=0), self.offset[-1:], axis=0)
 
     def link_transforms(self, q: ArrayLike) -> Array:
@@ -232,51 +329,46 @@ class RobotModel:
         return self._frames(q, self.link_joint, self.offset[:-1])
 
     @cached_property
-    def _tip(self) -> tuple[NDArray[np.int32], Array]:
+    def _tip(self) -> tuple[Index, Array]:
         """The frame of the tip, as `kernels.kinematics.frames` takes it."""
-        return np.array([self.dof - 1], np.int32), self.offset[-1:]
+        return np.array([self.tip_joint], np.int32), self.offset[-1:]
 
-    def _frames(self, q: ArrayLike, joint: NDArray[np.int32], offset: Array) -> Array:
+    def _frames(self, q: ArrayLike, joint: Index, offset: Array) -> Array:
         joints = np.array(q, np.float64, order="C")
         if joints.shape[-1:] != (self.dof,):
             raise InvalidRequest(f"a joint vector of {self.robot.descriptor.name} has {self.dof} values")
         flat = joints.reshape(-1, self.dof)
         out = np.empty((len(flat), len(joint), 4, 4))
-        frames(self.origin, self.revolute, joint, offset, flat, out)
+        frames(self.parent, self.origin, self.revolute, joint, offset, flat, out)
         return out.reshape(*joints.shape[:-1], len(joint), 4, 4)
 
 
-def _bounding_sphere(balls: Array) -> Array:
-    """A small sphere (4,) around spheres (n, 4): the centre moves towards the farthest one in decreasing steps.
-
-    Badoiu and Clarkson, "Smaller core-sets for balls", 2003.
-    """
-    center = balls[:, :3].mean(axis=0)
-    for step in range(1, 200):
-        away = balls[:, :3] - center
-        farthest = int(np.argmax(np.linalg.norm(away, axis=1) + balls[:, 3]))
-        center = center + away[farthest] / (step + 1)
-    radius = float(np.max(np.linalg.norm(balls[:, :3] - center, axis=1) + balls[:, 3]))
-    return np.array([*center, radius])
+def _placed(place: Place, places: Sequence[Place]) -> Place:
+    """A place on one of the whole robot's joints as one on those of a group."""
+    if place[0] < 0:
+        return place
+    joint, frame = places[place[0]]
+    return joint, frame @ place[1]
 
 
-def _reach(
-    origin: Array, revolute: NDArray[np.bool_], extent: Array, link_joint: NDArray[np.int32], spheres: list[Array]
-) -> NDArray[np.float32]:
+def _reach(tree: JointTree, extent: Array, link_joint: Index, spheres: list[Array]) -> NDArray[np.float32]:
     """`RobotArrays.reach`: a bound for every configuration, as if the arm in between could always be fully stretched."""
+    origin, revolute = tree.origin, tree.revolute
     of_spheres = [np.zeros((len(origin), len(balls))) for balls in spheres]
     for reach, carrier, balls in zip(of_spheres, link_joint.tolist(), spheres, strict=True):
-        for joint in range(carrier + 1):
+        further: list[int] = []  # the joints between this one and the carrier, and the carrier itself
+        for joint in tree.ancestors(carrier):
             if not revolute[joint]:
                 reach[joint] = 1.0
-            elif joint == carrier:
+            elif not further:
                 reach[joint] = np.hypot(balls[:, 0], balls[:, 1])
             else:
                 # Along the joint's own axis nothing moves, so of the first stretch only x and y count.
-                first = math.hypot(origin[joint + 1, 0, 3], origin[joint + 1, 1, 3])
-                rest = np.linalg.norm(origin[joint + 2 : carrier + 1, :, 3], axis=1).sum()
-                slides = extent[joint + 1 : carrier + 1][~revolute[joint + 1 : carrier + 1]].sum()
+                first = math.hypot(origin[further[-1], 0, 3], origin[further[-1], 1, 3])
+                rest = np.linalg.norm(origin[further[:-1], :, 3], axis=1).sum()
+                slides = extent[further][~revolute[further]].sum()
                 reach[joint] = first + rest + slides + np.linalg.norm(balls[:, :3], axis=1)
+            further.append(joint)
     of_links = [reach.max(axis=1, keepdims=True) for reach in of_spheres]
     table = np.hstack((np.empty((len(origin), 0)), *of_links, *of_spheres))
     return np.pad(table, ((0, 0), (0, -table.shape[1] % LANES))).astype(np.float32)

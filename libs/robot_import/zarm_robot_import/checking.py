@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +83,7 @@ def _size(model: RobotModel, q: Array) -> Iterator[str]:
 def _joints(model: RobotModel) -> Iterator[str]:
     descriptor = model.robot.descriptor
     home = np.array(descriptor.home)
-    still = model.fk_tip(home)
+    still = _tips(model, home)
     for index, joint in enumerate(descriptor.joints):
         width = model.upper[index] - model.lower[index]
         if width < 1e-3:
@@ -97,8 +96,13 @@ def _joints(model: RobotModel) -> Iterator[str]:
             yield f"home: {joint} stands at its limit; choose a pose from which it can turn both ways"
         moved = home.copy()
         moved[index] += 0.1 if home[index] < model.upper[index] - 0.1 else -0.1
-        if np.allclose(model.fk_tip(moved), still, atol=1e-9):
-            yield f"tip_link: {joint} does not move {descriptor.tip_link}; check its axis in the URDF"
+        if np.allclose(_tips(model, moved), still, atol=1e-9):
+            yield f"tip_link: {joint} does not move {' or '.join(model.robot.tips)}; check its axis in the URDF"
+
+
+def _tips(model: RobotModel, q: Array) -> Array:
+    """The poses (tips, 4, 4) of the tips of all groups."""
+    return np.array([model.fk_link(tip, q) for tip in model.robot.tips])
 
 
 def _rates(model: RobotModel) -> Iterator[str]:
@@ -172,14 +176,18 @@ def _neighbours(model: RobotModel, q: Array) -> Iterator[str]:
         joint: [(link, shape) for link, shape in model.parts if model.link_joint[link] == joint]
         for joint in sorted(set(model.link_joint.tolist()))
     }
-    for (one, carrier), (other, carried) in pairwise(by_joint.items()):
+    for other, carried in by_joint.items():
+        one = int(model.parent[other]) if other >= 0 else -1
+        carrier = by_joint.get(one, [])
+        if other < 0 or not carrier:
+            continue
         nearest = min(
             distance(a, poses[i] @ a.pose, b, poses[j] @ b.pose)
             for poses in few
             for i, a in carrier
             for j, b in carried
         )
-        if other == one + 1 and nearest > APART:
+        if nearest > APART:
             names = [model.links[parts[0][0]] for parts in (carrier, carried)]
             yield (
                 f"collision.{names[1]}: it never comes nearer than {1e3 * nearest:.0f} mm to {names[0]}, which carries it; look at the "

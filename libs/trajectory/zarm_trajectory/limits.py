@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zarm_contract.errors import ExecutionRefused
 from zarm_contract.robot import RobotDescription
@@ -67,6 +68,17 @@ class Limits:
             np.array(cspace.velocity) * velocity_scale,
             np.array(cspace.acceleration) * acceleration_scale,
             np.array(cspace.jerk),
+        )
+
+    def part(self, joints: NDArray[np.intp]) -> Self:
+        """The limits of the joints with these indices (n,)."""
+        return type(self)(
+            tuple(self.joints[k] for k in joints),
+            self.lower[joints],
+            self.upper[joints],
+            self.velocity[joints],
+            self.acceleration[joints],
+            self.jerk[joints],
         )
 
     @cached_property

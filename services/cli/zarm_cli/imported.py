@@ -35,6 +35,12 @@ def run_import(file: Path, folder: Path, options: Options) -> tuple[Path, Report
     return made
 
 
+def run_compose(file: Path, folder: Path | None, overwrite: bool) -> Path:
+    """Compose a robot of several, by default into a folder of its name. Raises InvalidRequest, or Unavailable without the packages."""
+    composed: Path = _importing("composing").compose(file, folder, overwrite)
+    return composed
+
+
 def options(**chosen: object) -> Options:
     """The options of an import. Raises Unavailable without the packages."""
     made: Options = _importing().Options(**chosen)

@@ -132,6 +132,25 @@ def _millimetres(mean: float, most: float) -> str:
 
 
 @app.command()
+def compose(
+    file: Annotated[Path, typer.Argument(help="A composition file (.yaml).", show_default=False)],
+    output: Annotated[Path | None, typer.Option(help="Folder for the files (default: the robot's name).")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a descriptor that is there already.")] = False,
+) -> None:
+    """Make one robot of several: arms side by side, or on a torso or an axis."""
+    descriptor = imported.run_compose(file, output, overwrite)
+    robot = load_robot(str(descriptor))
+    out.print(
+        facts(
+            ("robot", f"{robot.descriptor.name}, {len(robot.descriptor.joints)} joints"),
+            ("groups", ", ".join(robot.descriptor.groups)),
+            *([("grippers", ", ".join(robot.descriptor.grippers))] if robot.descriptor.grippers else []),
+        )
+    )
+    out.print(f"Next: zarm robot check {descriptor}, then zarm up --robot {descriptor}", soft_wrap=True)
+
+
+@app.command()
 def check(
     robot: Annotated[
         str, typer.Argument(metavar="FILE", help="A descriptor (.yaml), or the name of a robot that comes with zarm.")
@@ -211,6 +230,7 @@ def _describe(robot: RobotDescription) -> None:
             ("robot", descriptor.name),
             ("chain", f"{descriptor.base_link} to {descriptor.tip_link} in {robot.urdf_path}"),
             ("home", f"{numbers(descriptor.home, 4)} rad = {degrees(descriptor.home)} deg"),
+            *([("groups", ", ".join(descriptor.groups))] if descriptor.groups else []),
             ("strategy", descriptor.strategy),
             ("hash", robot.hash),
         )

@@ -36,6 +36,7 @@ from zarm_contract.messages import (
     PlannerSettings,
     PlanRequest,
     PlanTimings,
+    Pose,
     ProgramRequest,
     Scene,
     SceneEdit,
@@ -56,6 +57,7 @@ from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
 from zarm_planner.goals.joints import checked, within_range
 from zarm_planner.goals.moving_start import state_of
+from zarm_planner.group import Group
 from zarm_planner.kinematics.batches import batch_fk, batch_ik, batch_regions
 from zarm_planner.kinematics.pose_region import PoseRegion
 from zarm_planner.pipeline import Verified, plan
@@ -63,7 +65,7 @@ from zarm_planner.planners.base import Planner
 from zarm_planner.planners.registry import AUTO, PLANNERS, check_name, choose, names_of
 from zarm_planner.program_stage import ProgramStage
 from zarm_planner.programs import PlannedProgram, SceneChange, of_only_segment, plan_program, with_ways
-from zarm_planner.scene.attached_objects import check_attach, check_links
+from zarm_planner.scene.attached_objects import carrier, check_attach, check_links
 from zarm_planner.scene.scene_cache import SceneCache
 from zarm_planner.scene.store import SceneStore
 from zarm_planner.scheduler import Scheduler
@@ -116,7 +118,10 @@ class Handlers:
 
     def warm_up(self, report: Callable[[str], None]) -> None:
         """Compile or load the kernels used by plans; `report` is told what comes next."""
-        warm_up(self._model, report)
+        groups = self._model.robot.descriptor.groups
+        one_tip = next((name for name, group in groups.items() if group.tip_link is not None), None)
+        home = np.array(self._model.robot.descriptor.home)
+        warm_up(self._model if one_tip is None else self._model.group((one_tip,), home), report)
         report("loading the scene")
         self.scenes.prepare(self._store.scene, self.grippers.present())
         try:
@@ -137,6 +142,7 @@ class Handlers:
         if with_ways(request.goal):
             return self._with_ways(request)
         openings = self.grippers.chosen(request.openings)
+        group = Group.of(model.robot, request.group, request.goal)
 
         def work(deadline: Deadline) -> tuple[SceneRevision, Verified, PlanTimings]:
             limits = self._limits(
@@ -164,13 +170,17 @@ class Handlers:
             )
             # Kernels work in single precision, which needs small angles.
             turns = whole_turns(start, model.continuous)
-            verified = plan(planner, context, start - turns, request.goal, motion).shifted(turns)
-            return context.scene.revision, verified, context.timer.timings()
+            if group is None:
+                verified = plan(planner, context, start - turns, request.goal, motion)
+            else:
+                verified = group.plan(planner, context, start - turns, request.goal, motion)
+            return context.scene.revision, verified.shifted(turns), context.timer.timings()
 
         revision, verified, timings = self._scheduler.run(
             work, requester(), request.timeout or settings.timeout, request.request_id
         )
-        return self._reply(revision, verified, timings, openings)
+        tips = group.names if group is not None else ()
+        return self._reply(revision, verified, timings, openings, tip=self._tip(tips, verified))
 
     def _reply(
         self,
@@ -181,6 +191,8 @@ class Handlers:
         segments: tuple[PlannedSegment, ...] = (),
         touches: tuple[Touch, ...] = (),
         problem: Problem | None = None,
+        *,
+        tip: Pose,
     ) -> Plan:
         model, trajectory = self._model, verified.trajectory
         return Plan.model_construct(  # from values just verified
@@ -189,7 +201,7 @@ class Handlers:
             robot_hash=model.robot.hash,
             scene_revision=revision,
             trajectory=trajectory.message(model.robot.descriptor.joints),
-            tip=pose_of(model.fk_tip(trajectory.position[-1])),
+            tip=tip,
             selected_goal_index=verified.goal_pose,
             goal_deviation=verified.deviation,
             tool=verified.tool,
@@ -205,6 +217,10 @@ class Handlers:
             timings=timings,
         )
 
+    def _tip(self, groups: Sequence[str], verified: Verified) -> Pose:
+        """Where the tip of the first of these groups is at the end of a motion; without groups, the robot's tip."""
+        return pose_of(self._model.fk_link(self._model.robot.tip_of(groups), verified.trajectory.position[-1]))
+
     def _with_ways(self, request: PlanRequest) -> Plan:
         """A goal with an approach or a retreat is a program of several motions."""
         if request.start_state is not None or constrains(request.path_constraint):
@@ -212,7 +228,7 @@ class Handlers:
             raise InvalidRequest("not with an approach or a retreat; leave one of them out", field=field)
         common = ProgramRequest.model_fields.keys() & PlanRequest.model_fields.keys()
         fields: dict[str, Any] = {name: getattr(request, name) for name in common}
-        segment = Move.model_construct(kind="move", goal=request.goal)
+        segment = Move.model_construct(kind="move", goal=request.goal, group=request.group)
         try:
             plan, _ = self.program(ProgramRequest.model_construct(segments=(segment,), **fields))
         except ZarmError as error:
@@ -247,6 +263,7 @@ class Handlers:
             planned.segments,
             planned.touches,
             planned.problem,
+            tip=self._tip(planned.groups, planned.verified),
         )
         changes = tuple(
             (at, change.model_copy(update={"joints": tuple((q + turns).tolist())})) for at, change, q in planned.changes
@@ -278,11 +295,16 @@ class Handlers:
         """Joints for poses. Raises InvalidRequest."""
         model = self._model
         near = self._measured_or_home() if request.near is None else checked(model, request.near, "near")
+        group = Group.of_tip(model.robot, request.group)
         poses = np.array([matrix(pose.position, pose.orientation) for pose in request.poses])
 
         def work(deadline: Deadline) -> IkSolutions:
             scene = self.scenes.present(self._settings.margin, openings=self.grippers.present())
             turns = whole_turns(near, model.continuous)
+            begin = near - turns
+            if group is not None:
+                scene = group.scene(scene, begin)
+                begin, turns = begin[group.joints], turns[group.joints]
             batch: Callable[..., list[Array]] = partial(batch_ik, scene.model, poses)
             if request.tolerance is not None or request.tip is not None:
                 batch = partial(
@@ -290,7 +312,7 @@ class Handlers:
                     [PoseRegion.of(scene.model, pose, request.tolerance, request.tip, "tip") for pose in request.poses],
                 )
             found = batch(
-                near - turns,
+                begin,
                 world=scene.world if request.collision_free else None,
                 max_solutions=request.max_solutions,
                 seed=request.seed,
@@ -305,7 +327,11 @@ class Handlers:
     def fk(self, request: FkRequest) -> FkPoses:
         """Poses for joints. Raises InvalidRequest."""
         joints = np.array([checked(self._model, q, f"joints.{i}") for i, q in enumerate(request.joints)])
-        poses = batch_fk(self._model, joints, request.device)
+        group = Group.of_tip(self._model.robot, request.group)
+        if group is None:
+            poses = batch_fk(self._model, joints, request.device)
+        else:
+            poses = self._model.fk_link(self._model.robot.tip_of(group.names), joints)
         return FkPoses(poses=tuple(pose_of(pose) for pose in poses))
 
     def check(self, request: CheckRequest) -> CheckResults:
@@ -374,7 +400,12 @@ class Handlers:
         given = request.edit.joints
         q = self._measured() if given is None else checked(self._model, given, "edit.joints")
         openings = self.grippers.present()
-        return self._store.edit(request, self._model.fk_tip(q), lambda scene: self.scenes.prepare(scene, openings))
+        edit = request.edit
+        return self._store.edit(
+            request,
+            lambda scene: self._model.fk_link(carrier(self._model, scene, edit), q),
+            lambda scene: self.scenes.prepare(scene, openings),
+        )
 
     def planners(self) -> Planners:
         """The planners that a request may name."""

@@ -14,7 +14,7 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
 from zarm_planner.programs import Scales, SceneChange
-from zarm_planner.scene.attached_objects import attach, check_attach, detach
+from zarm_planner.scene.attached_objects import attach, carrier, check_attach, detach
 from zarm_planner.scene.scene_cache import ReadyScene, SceneCache
 from zarm_planner.scene.store import SceneStore
 from zarm_planner.stage_timer import StageTimer
@@ -39,6 +39,7 @@ class ProgramStage:
     ) -> None:
         self._grippers = grippers
         self._openings = self.openings = grippers.chosen(request.openings)
+        self.robot = model.robot
         self._model, self._store, self._scenes, self._limits = model, store, scenes, limits
         self._settings, self._request, self._deadline = settings, request, deadline
         self._scene = store.scene
@@ -72,7 +73,7 @@ class ProgramStage:
 
     def change(self, change: SceneChange, q: Array) -> None:
         """See `programs.Stage`."""
-        tip = self._model.fk_tip(q)
+        tip = self._model.fk_link(carrier(self._model, self._scene, change), q)
         if isinstance(change, AttachObject):
             check_attach(self._model.links, change.name, change.touch_links, "edit")
             self._scene = attach(self._scene, change, tip, self._store.meshes)

@@ -35,15 +35,18 @@ from zarm_contract.messages import (
     PoseGoal,
     Segment,
     SpeedChange,
+    TipFrame,
     Touch,
     Wait,
 )
+from zarm_contract.robot import RobotDescription
 from zarm_geometry.frames import pose_of
 from zarm_planner.cartesian.following import Following
 from zarm_planner.cartesian.task import ToolTask
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.ends import goal_deviation
 from zarm_planner.goals.problem import PlanningProblem
+from zarm_planner.group import Group
 from zarm_planner.kinematics.pose_region import tip_frame
 from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.base import Planner
@@ -71,6 +74,8 @@ SceneChange = AttachObject | DetachObject
 class Stage(Protocol):
     """The surroundings of a program's segments."""
 
+    robot: RobotDescription
+
     def context(self, scales: Scales, touch: Collection[str] = ()) -> PlanningContext:
         """The context of a motion, with the scene as it is at that point of the program, without the objects that it may
         touch. Raises InvalidRequest for one that is not in the scene.
@@ -86,13 +91,15 @@ class Stage(Protocol):
 @dataclass(frozen=True)
 class PlannedProgram:
     """A program as one motion. `changes` say what is attached or detached at which time (s), and the joints (dof,) there;
-    `touches` where objects may be touched. With a `problem` it ends before the segment that fails.
+    `touches` where objects may be touched, and `groups` which groups moved last, none if that was the whole robot. With a `problem` it
+    ends before the segment that fails.
     """
 
     verified: Verified
     segments: tuple[PlannedSegment, ...]
     changes: tuple[tuple[float, SceneChange, Array], ...]
     touches: tuple[Touch, ...]
+    groups: tuple[str, ...] = ()
     problem: Problem | None = None
 
 
@@ -105,10 +112,11 @@ class _Progress:
     motions: list[TimedTrajectory] = field(default_factory=list)
     touches: list[Touch] = field(default_factory=list)
     time: float = 0.0
+    groups: tuple[str, ...] = ()
 
     def kept(self) -> _Progress:
         """What is planned now, whatever is added later."""
-        return _Progress(self.q, self.parts.copy(), self.motions.copy(), self.touches.copy(), self.time)
+        return _Progress(self.q, self.parts.copy(), self.motions.copy(), self.touches.copy(), self.time, self.groups)
 
     def add(self, motion: TimedTrajectory, touch: tuple[str, ...] = ()) -> None:
         if touch:
@@ -151,9 +159,11 @@ def plan_program(
             match segment:
                 case Move(touch=touch):
                     together, goal = blended_lines(segments[number:])
-                    after = _curves_after(segments[number + len(together) :])
-                    motions = _Motions(stage, scales, touch, planners)
-                    for verified, touched in motions.of(done.q, goal, after):
+                    after = _curves_after(segments[number + len(together) :], segment.group)
+                    group = Group.of(stage.robot, segment.group, goal)
+                    done.groups = group.names if group is not None else ()
+                    motions = _Motions(stage, scales, touch, planners, group, done.q)
+                    for verified, touched in motions.of(goal, after):
                         done.parts.append(verified)
                         done.add(verified.trajectory, touched)
                 case Wait(duration=duration):
@@ -173,14 +183,16 @@ def plan_program(
             failure = _of_segment(error, number, segment, blended=len(together) > 1)
             if not partial or not whole.parts:
                 raise failure from error
-            return PlannedProgram(_whole(whole), tuple(planned), tuple(changes), tuple(whole.touches), failure.problem)
+            return PlannedProgram(
+                _whole(whole), tuple(planned), tuple(changes), tuple(whole.touches), whole.groups, failure.problem
+            )
         passed = len(together) - 1
         ends = [*_passing_times(stage, done, begin, together), done.time]
         for one, (first, last) in zip(together, itertools.pairwise([begin, *ends]), strict=True):
             planned.append(PlannedSegment(action=one.kind, name=one.name, begin=first, end=last, grip=grip))
     if not done.parts:
         raise InvalidRequest("no segment of the program moves the robot; add one of kind move", field="segments")
-    return PlannedProgram(_whole(done), tuple(planned), tuple(changes), tuple(done.touches))
+    return PlannedProgram(_whole(done), tuple(planned), tuple(changes), tuple(done.touches), done.groups)
 
 
 def _check_standing(context: PlanningContext, q: Array, grip: PlannedGrip) -> None:
@@ -224,9 +236,9 @@ def blended_lines(segments: Sequence[Segment]) -> tuple[Sequence[Segment], Goal]
     return [move for move, _ in lines], PathGoal(kind="path", points=points, **fields)
 
 
-def _options(segment: Move) -> tuple[object, tuple[str, ...]]:
+def _options(segment: Move) -> tuple[object, tuple[str, ...], str | None]:
     """What lines that blend have in common."""
-    return segment.goal.model_dump(include=ALONG_CURVE), segment.touch
+    return segment.goal.model_dump(include=ALONG_CURVE), segment.touch, segment.group
 
 
 def _passing_times(stage: Stage, done: _Progress, begin: float, together: Sequence[Segment]) -> list[float]:
@@ -235,7 +247,8 @@ def _passing_times(stage: Stage, done: _Progress, begin: float, together: Sequen
     if not lines:
         return []
     model, trajectory = stage.context((None, None)).model, done.motions[-1]
-    joint, frame = tip_frame(model, lines[0].tip, "goal.tip")
+    tip = lines[0].tip or TipFrame(link=stage.robot.tip_of(done.groups))
+    joint, frame = tip_frame(model, tip, "goal.tip")
     tips = (model.fk_joint(joint, trajectory.position) @ frame)[:, :3, 3]
     times, at = [], 0
     for line in lines:
@@ -251,7 +264,7 @@ def with_ways(goal: Goal) -> bool:
 
 def _change(segment: Attach | Detach) -> SceneChange:
     if isinstance(segment, Attach):
-        return AttachObject(op="attach", name=segment.object, touch_links=segment.touch_links)
+        return AttachObject(op="attach", name=segment.object, touch_links=segment.touch_links, link=segment.link)
     return DetachObject(op="detach", name=segment.object)
 
 
@@ -260,12 +273,12 @@ def _touch_after(segments: Sequence[Segment]) -> tuple[str, ...]:
     return next((segment.touch for segment in segments if isinstance(segment, Move)), ())
 
 
-def _curves_after(segments: Sequence[Segment]) -> list[CartesianGoal]:
-    """The lines, arcs and paths that follow, up to the next motion that is free to choose its way."""
+def _curves_after(segments: Sequence[Segment], group: str | None) -> list[CartesianGoal]:
+    """The lines, arcs and paths of a group that follow, up to the next motion that is free to choose its way."""
     curves: list[CartesianGoal] = []
     for segment in segments:
         if isinstance(segment, Move):
-            if not isinstance(segment.goal, CartesianGoal):
+            if not isinstance(segment.goal, CartesianGoal) or segment.group != group:
                 break
             curves.append(segment.goal)
     return curves
@@ -273,23 +286,41 @@ def _curves_after(segments: Sequence[Segment]) -> list[CartesianGoal]:
 
 @dataclass(frozen=True)
 class _Motions:
-    """Plans the motions of one segment, which may touch the objects `touch` on all of them."""
+    """Plans the motions of one segment, which may touch the objects `touch` on all of them, of a group or of all joints, from the
+    robot's joints `start` (dof,) on.
+    """
 
     stage: Stage
     scales: Scales
     touch: tuple[str, ...]
     planners: Sequence[Planner]
+    group: Group | None
+    start: Array
 
-    def of(self, q: Array, goal: Goal, after: Sequence[CartesianGoal]) -> Iterator[tuple[Verified, tuple[str, ...]]]:
-        """The motions from the joints `q` (dof,) on, each with what it may touch: to where a goal's approach begins, along
-        it, along its retreat; or the only one. `after` are the curves that follow.
+    def of(self, goal: Goal, after: Sequence[CartesianGoal]) -> Iterator[tuple[Verified, tuple[str, ...]]]:
+        """The motions of the robot, each with what it may touch: to where a goal's approach begins, along it, along its
+        retreat; or the only one. `after` are the curves that follow.
         """
-        context = self.stage.context(self.scales, self.touch)
+        if self.group is None:
+            yield from self._motions(self.start, goal, after)
+            return
+        for verified, touched in self._motions(self.start[self.group.joints], goal, after):
+            yield self.group.whole(verified, self.start), touched
+
+    def _context(self, touch: tuple[str, ...]) -> PlanningContext:
+        context = self.stage.context(self.scales, touch)
+        return context if self.group is None else self.group.context(context, self.start)
+
+    def _motions(
+        self, q: Array, goal: Goal, after: Sequence[CartesianGoal]
+    ) -> Iterator[tuple[Verified, tuple[str, ...]]]:
+        """The same for the joints that move, from `q` on."""
+        context = self._context(self.touch)
         if not isinstance(goal, PoseGoal) or not (after or with_ways(goal)):
             yield _planned(context, q, goal, self.planners), self.touch
             return
         at_pose = tuple({*self.touch, *(name for way in (goal.approach, goal.retreat) if way for name in way.touch)})
-        near = context if set(at_pose) == set(self.touch) else self.stage.context(self.scales, at_pose)
+        near = context if set(at_pose) == set(self.touch) else self._context(at_pose)
         bare = goal.model_copy(update={"approach": None, "retreat": None})
         with near.timer.stage("ik"):
             ends = PlanningProblem.of(near, q, bare).targets[-1]

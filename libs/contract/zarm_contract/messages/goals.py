@@ -188,6 +188,26 @@ class PathGoal(ToolPathGoal):
     blend: Blend | None = None
 
 
+GroupName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_+]{0,63}$")]
+"""A joint group of the descriptor."""
+
+
+class GroupGoal(Message):
+    """The goal of one group: a pose of its tip, or its joints."""
+
+    group: GroupName
+    goal: Annotated[PoseGoal | JointGoal, Field(discriminator="kind")]
+
+
+class GroupsGoal(Message):
+    """Move several groups at once, each to its own goal: both arms, for example. They start and arrive together, and no two may share a
+    joint. The other joints stand.
+    """
+
+    kind: Literal["groups"]
+    goals: tuple[GroupGoal, ...] = Field(min_length=1, max_length=8)
+
+
 CartesianGoal = LineGoal | ArcGoal | PathGoal
 """A goal that says along which curve the tip moves."""
-Goal = Annotated[PoseGoal | JointGoal | WaypointsGoal | CartesianGoal, Field(discriminator="kind")]
+Goal = Annotated[PoseGoal | JointGoal | WaypointsGoal | CartesianGoal | GroupsGoal, Field(discriminator="kind")]

@@ -8,7 +8,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
-from zarm_contract.messages.goals import Goal, PoseTolerance, TipFrame
+from zarm_contract.messages.goals import Goal, GroupName, PoseTolerance, TipFrame
 from zarm_contract.messages.gripper import Openings, PlannedGrip
 from zarm_contract.messages.motion import (
     Joints,
@@ -73,10 +73,13 @@ class PlanRequest(Message):
     own links; left out, it is the descriptor's. Two links that are nearer in nearly all configurations keep the distance that they can. Scales are shares of the velocity and acceleration
     limits. With `optimize_s` 0 the same request, scene and `seed` give the same trajectory. With `publish` false only the
     requester gets the plan: it is not on `planner/plans`, and cannot be executed by its id. `openings` are those of the grippers, by
-    default the measured ones, where one moves that to which it moves, and open before any are measured.
+    default the measured ones, where one moves that to which it moves, and open before any are measured. With a `group` of the
+    descriptor only its joints move: a joint goal gives these alone, and poses are those of its tip. The others stand as at the start.
+    A robot with several tips needs a group for poses.
     """
 
     goal: Goal
+    group: GroupName | None = None
     start: Joints | None = None
     start_state: StartState | None = None
     planner: PlannerKind | None = None
@@ -209,12 +212,14 @@ class IkRequest(Message):
     """Inverse kinematics: joint solutions for tip poses, nearest to `near` first (rad; default: the measured joints, else home).
 
     With `collision_free` only solutions without collision count. `device` says what computes the batch. `tolerance` and `tip` as in
-    `PoseGoal`, for all poses; kernels compute them.
+    `PoseGoal`, for all poses; kernels compute them. With a `group` the poses are those of its tip and the solutions its joints alone; `near`
+    gives all joints, of which the others stand.
     """
 
     poses: tuple[Pose, ...] = Field(min_length=1, max_length=1000)
     tolerance: PoseTolerance | None = None
     tip: TipFrame | None = None
+    group: GroupName | None = None
     near: Joints | None = None
     max_solutions: Annotated[int, Field(ge=1, le=64)] = 1
     device: Device = "auto"
@@ -229,9 +234,10 @@ class IkSolutions(Message):
 
 
 class FkRequest(Message):
-    """Forward kinematics: the tip pose for each joint vector (rad)."""
+    """Forward kinematics: the tip pose for each joint vector (rad) of the robot; with a `group`, that of its tip."""
 
     joints: tuple[Joints, ...] = Field(min_length=1, max_length=1000)
+    group: GroupName | None = None
     device: Device = "auto"
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from zarm_contract._model import Message
-from zarm_contract.messages.goals import Blend, Goal
+from zarm_contract.messages.goals import Blend, Goal, GroupName
 from zarm_contract.messages.gripper import Grip, Openings
 from zarm_contract.messages.motion import Joints, Name, Scale
 from zarm_contract.messages.planner import Attempts, Margin, Timeout
@@ -17,11 +17,12 @@ class Move(Message):
     """Move to a goal, or along a line, an arc or a path. `name` says in answers which segment it is.
 
     The robot, or what it carries, may touch the objects named in `touch` on the way. A line with a `blend` (m) is left so far before its
-    end, without stopping, for the line of the next segment, which has the same options.
+    end, without stopping, for the line of the next segment, which has the same options. `group` as in `PlanRequest`.
     """
 
     kind: Literal["move"]
     goal: Goal
+    group: GroupName | None = None
     blend: Blend = 0.0
     touch: tuple[Name, ...] = Field(default=(), max_length=32)
     name: Name | None = None
@@ -45,13 +46,14 @@ class SpeedChange(Message):
 
 
 class Attach(Message):
-    """Attach `object` of the scene to the tip, where it then is, as `AttachObject` does; the planner edits the scene when the robot
-    gets there.
+    """Attach `object` of the scene to the tip, or to a `link`, where it then is, as `AttachObject` does; the planner edits the scene when
+    the robot gets there.
     """
 
     kind: Literal["attach"]
     object: Name
     touch_links: tuple[str, ...] = Field(default=(), max_length=32)
+    link: str | None = None
     name: Name | None = None
 
 

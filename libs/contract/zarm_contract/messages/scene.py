@@ -146,14 +146,15 @@ SceneObject = Annotated[Cuboid | Sphere | Capsule | Cylinder | Mesh | Voxels, Fi
 
 
 class Attached(Message):
-    """An attached object: its pose is relative to the tip, and it may touch `touch_links`.
+    """An attached object: its pose is relative to the `link`, by default the descriptor's `tip_link`, and it may touch `touch_links`.
 
-    A mesh or voxels are checked by their `parts`, relative to the tip, which contain them.
+    A mesh or voxels are checked by their `parts`, relative to that link, which contain them.
     """
 
     object: SceneObject
     touch_links: tuple[str, ...] = ()
     parts: tuple[Primitive, ...] = Field(default=(), max_length=MAX_ATTACHED_PARTS)
+    link: str | None = None
 
 
 class ObjectPose(ShortMessage):
@@ -237,16 +238,18 @@ class LoadScene(Message):
 
 
 class AttachObject(Message):
-    """Attach an object of the scene to the tip, where it is with the robot at `joints` (rad; default: the measured ones).
+    """Attach an object of the scene to a `link`, by default the descriptor's `tip_link`, where it is with the robot at `joints` (rad; default:
+    the measured ones).
 
     The object may touch `touch_links`, such as the fingers of a gripper. It is never checked against links that are fixed to
-    the tip. A mesh or voxels are carried as at most 32 cuboids that contain them.
+    that link. A mesh or voxels are carried as at most 32 cuboids that contain them.
     """
 
     op: Literal["attach"]
     name: Name
     touch_links: tuple[str, ...] = Field(default=(), max_length=32)
     joints: Joints | None = None
+    link: str | None = None
 
 
 class DetachObject(Message):

@@ -24,15 +24,17 @@ DEEPEST = 32
 class RobotArrays(NamedTuple):
     """A robot as the collision kernels read it; links are sorted by the joint that carries them.
 
-    `origin` (dof, 3, 4): each joint's frame in the frame of the previous joint, with the joint's axis along z;
-    `revolute` (dof,): 0 for prismatic joints. `link_joint` (links,): the joint that carries a link, -1 for the base;
+    `parent` (dof,): the joint that carries each joint, an earlier one, or -1 for the base; `origin` (dof, 3, 4): each
+    joint's frame in the frame of its parent, with the joint's axis along z; `revolute` (dof,): 0 for prismatic joints. `link_joint` (links,): the joint that carries a link, -1 for the base;
     `link_first` (links + 1,): the index of its first sphere. `spheres` (n, 4): x, y, z, radius (m) in the frame of that
     joint; `bounds` (links, 4): one sphere that encloses all of a link. `pairs` (m, 2): links that can collide, the one
-    nearer to the base first; `apart` (m,): the distance (m) that their spheres must keep. `reach` (dof, balls): the
+    nearer to the base first; `common` (m,): the last joint that moves both, -1 for the base; `apart` (m,): the distance
+    (m) that their spheres must keep. `reach` (dof, balls): the
     most (m) that a ball's centre moves when the joint moves by 1 rad (1 m if prismatic). The balls are the bounding
     spheres of the links, then the spheres, then zeros up to a multiple of 16.
     """
 
+    parent: Index
     origin: Single
     revolute: NDArray[np.uint8]
     link_joint: Index
@@ -40,6 +42,7 @@ class RobotArrays(NamedTuple):
     spheres: Single
     bounds: Single
     pairs: Index
+    common: Index
     apart: Single
     reach: Single
 
@@ -82,6 +85,7 @@ class Space(NamedTuple):
     pairs: int
     balls: int
     nodes: int
+    parent: Pointer
     origin: Pointer
     revolute: Pointer
     link_joint: Pointer
@@ -89,6 +93,7 @@ class Space(NamedTuple):
     spheres: Pointer
     bounds: Pointer
     pair: Pointer
+    common: Pointer
     apart: Pointer
     reach: Pointer
     shapes: Pointer
@@ -153,6 +158,7 @@ def space(robot: RobotArrays, world: WorldArrays, memory: Memory) -> Space:
         robot.pairs.shape[0],
         robot.reach.shape[1],
         world.boxes.shape[0],
+        pointer(robot.parent),
         pointer(robot.origin),
         pointer(robot.revolute),
         pointer(robot.link_joint),
@@ -160,6 +166,7 @@ def space(robot: RobotArrays, world: WorldArrays, memory: Memory) -> Space:
         pointer(robot.spheres),
         pointer(robot.bounds),
         pointer(robot.pairs),
+        pointer(robot.common),
         pointer(robot.apart),
         pointer(robot.reach),
         pointer(world.shapes),

@@ -50,9 +50,10 @@ class Cover(NamedTuple):
 
     `balls` (n, 4): x, y, z, radius (m) in the frame of the joint that carries them; `first` (links + 1,): the index of
     a link's first ball; `around` (links, 5): a ball that encloses those of a link, and the distance from its centre to
-    the farthest of their centres. `origin` (dof, 3, 4) and `revolute` (dof,): as in `RobotArrays`.
+    the farthest of their centres. `parent`, `origin` and `revolute` as in `RobotArrays`.
     """
 
+    parent: Index
     origin: Single
     revolute: NDArray[np.uint8]
     balls: Single
@@ -99,6 +100,7 @@ class _View(NamedTuple):
     dof: int
     links: int
     nodes: int
+    parent: Pointer
     origin: Pointer
     revolute: Pointer
     link_joint: Pointer
@@ -122,7 +124,7 @@ class _View(NamedTuple):
 @inlined
 def _place(view: _View) -> None:
     """Place the joints, the balls and the balls around links for the joints in `angle`."""
-    place_joints(view.dof, view.origin, view.revolute, view.angle, view.frames)
+    place_joints(view.dof, view.parent, view.origin, view.revolute, view.angle, view.frames)
     for link in range(view.links):
         joint = view.link_joint[link]
         place_points(view.frames, joint, view.bounds, 5, link, link + 1, view.around, 0)
@@ -140,7 +142,8 @@ def _measure_travel(view: _View, link: int) -> None:
     x, y, z = load(view.around, at), load(view.around, at + LANES), load(view.around, at + 2 * LANES)
     spread = view.bounds[5 * link + 4]
     travel = splat(0.0)
-    for joint in range(view.link_joint[link], -1, -1):
+    joint = view.link_joint[link]
+    while joint >= 0:
         way = load(view.way, joint * LANES)
         if view.revolute[joint] != 0:
             a = FRAME * (joint + 1) + 6 * LANES  # the joint's axis, and behind it a point on it
@@ -154,6 +157,7 @@ def _measure_travel(view: _View, link: int) -> None:
         else:
             travel = travel + way
         store(view.travel, (link * view.dof + joint) * LANES, travel)
+        joint = view.parent[joint]
 
 
 @inlined
@@ -269,6 +273,7 @@ def push_near(
         dof,
         links,
         world.boxes.shape[0],
+        pointer(cover.parent),
         pointer(cover.origin),
         pointer(cover.revolute),
         pointer(body.link_joint),
@@ -309,17 +314,21 @@ def push_near(
         for subject in range(asked.shape[0]):
             if not asked[subject]:
                 continue
-            one, beyond = subject, 0
+            one, other, travel = subject, -1, splat(0.0)
             if subject >= links:
-                one, beyond = body.pairs[subject - links, 1], view.link_joint[body.pairs[subject - links, 0]] + 1
-            travel = splat(0.0)
-            if view.link_joint[one] >= 0:
-                travel = load(view.travel, (one * dof + beyond) * LANES)
+                other, one = body.pairs[subject - links, 0], body.pairs[subject - links, 1]
+                beyond = body.beyond[subject - links, 0]
+                if body.beyond[subject - links, 1] >= 0:
+                    travel = load(view.travel, (other * dof + body.beyond[subject - links, 1]) * LANES)
+            else:
+                beyond = body.path[body.path_first[subject + 1] - 1] if view.link_joint[one] >= 0 else -1
+            if beyond >= 0:
+                travel = travel + load(view.travel, (one * dof + beyond) * LANES)
             clearance = travel + wanted
             if subject < links:
                 found = _to_world(view, subject, travel, clearance)
             else:
-                found = _to_each_other(view, one, body.pairs[subject - links, 0], travel, clearance)
+                found = _to_each_other(view, one, other, travel, clearance)
             near = below(found, clearance)
             if near == 0:
                 continue

@@ -56,10 +56,9 @@ def _travel(
     low, k, high, slot = stretch
     moved = search.moved
     before, after = 0.0, 0.0
-    for joint in range(body.reach.shape[1] - 1, -1, -1):
+    for at in range(body.path_first[subject], body.path_first[subject + 1]):
+        joint = body.path[at]
         reach = body.reach[subject, joint]
-        if reach == 0.0:
-            continue
         earlier, later = reach, reach
         if body.revolute[joint]:
             arm = _arm(search, slot, joint, x, y, z) + core
@@ -73,8 +72,8 @@ def _travel(
 def _rate(
     body: RobotParts, search: ClearanceSearch, stretch: Stretch, i: int, first: int, last: int, step: int
 ) -> None:
-    """Write to `search.rates` upper bounds on how far each joint from `first` to `last` moves a part, in m/rad (1 for
-    prismatic joints), before and after the middle of an interval.
+    """Write to `search.rates` upper bounds on how far each joint from `first` to `last` in `RobotParts.path` moves a
+    part, in m/rad (1 for prismatic joints), before and after the middle of an interval.
 
     The loop starts at the joint next to the part: the joints already visited may carry the part further away from the
     axis of the next one.
@@ -84,7 +83,8 @@ def _rate(
     core = body.extents[i, 5] - body.extents[i, 4]
     x, y, z = search.centers[i, 0], search.centers[i, 1], search.centers[i, 2]
     before, after = 0.0, 0.0
-    for joint in range(first, last + step, step):
+    for at in range(first, last + step, step):
+        joint = body.path[at]
         earlier, later = 1.0, 1.0
         if body.revolute[joint]:
             arm = _arm(search, slot, joint, x, y, z) + core
@@ -329,14 +329,15 @@ def _to_each_other(
     body: RobotParts,
     search: ClearanceSearch,
     found: Array,
+    subject: int,
     one: int,
     other: int,
     stretch: Stretch,
     travel: Kept,
     best: float,
 ) -> tuple[Kept, Array, float]:
-    """Lower bounds (m) on the distance of two links before and after the middle of an interval. `one` is the outer
-    link; pairs that may be closer than `best` are appended to `found`, where a part of `other` is -1 minus its index.
+    """Lower bounds (m) on the distance of the two links of a subject before and after the middle of an interval. `one` is
+    the outer link; pairs that may be closer than `best` are appended to `found`, where a part of `other` is -1 minus its index.
 
     A joint brings two points closer by at most its rotation times the smaller of their distances from its axis.
     """
@@ -350,9 +351,9 @@ def _to_each_other(
         return (before, after), found, best
     _place_parts(body, search, slot, one)
     _place_parts(body, search, slot, other)
-    inner, outer = body.link_joint[other] + 1, body.link_joint[one]
+    outer, inner = body.path_first[subject], body.path_first[subject + 1] - 1
     for j in range(body.first[other], body.first[other + 1]):
-        _rate(body, search, stretch, j, inner, outer, 1)
+        _rate(body, search, stretch, j, inner, outer, -1)
     rates, moved = search.rates, search.moved
     p = search.centers
     for i in range(body.first[one], body.first[one + 1]):
@@ -360,10 +361,11 @@ def _to_each_other(
         apart = math.sqrt((p[i, 0] - bx) ** 2 + (p[i, 1] - by) ** 2 + (p[i, 2] - bz) ** 2)
         if apart - reach >= max(best, before + travel[0], after + travel[1], 0.0):
             continue
-        _rate(body, search, stretch, i, outer, inner, -1)
+        _rate(body, search, stretch, i, outer, inner, 1)
         for j in range(body.first[other], body.first[other + 1]):
             own_before, own_after = 0.0, 0.0
-            for joint in range(inner, outer + 1):
+            for at in range(outer, inner + 1):
+                joint = body.path[at]
                 own_before += min(rates[i, joint, 0], rates[j, joint, 0]) * (moved[k, joint] - moved[low, joint])
                 own_after += min(rates[i, joint, 1], rates[j, joint, 1]) * (moved[high, joint] - moved[k, joint])
             limit = max(best, before + own_before, after + own_after, 0.0)
@@ -419,7 +421,7 @@ def _look_at(
         lowest, found, best = _to_world(body, world, search, found, one, k, slot, enough, best)
         return (lowest - travel[0], lowest - travel[1]), travel, found, best
     other = body.pairs[subject - links, 0]
-    kept, found, best = _to_each_other(body, search, found, one, other, stretch, travel, best)
+    kept, found, best = _to_each_other(body, search, found, subject, one, other, stretch, travel, best)
     return kept, travel, found, best
 
 

@@ -18,7 +18,7 @@ Index = NDArray[np.int32]
 class RobotParts(NamedTuple):
     """A robot's exact shapes.
 
-    `origin` (dof, 3, 4), `revolute` (dof,): as in `kinematics.joint_frames`. Per link: `link_joint` (links,): the joint
+    `parent`, `revolute` (dof,), `origin` (dof, 3, 4): as in `kinematics.joint_frames`. Per link: `link_joint` (links,): the joint
     that carries it, -1 for the base; `offset` (links, 4, 4): its frame in that joint's frame; `around` (links, 4): its
     bounding sphere, x, y, z, radius in its frame; `spread` (links,): the distance (m) from that sphere's centre to the
     farthest point of its parts' cores; `first` (links + 1,): the index of its first part. Per part: `pose` (parts, 4,
@@ -27,9 +27,12 @@ class RobotParts(NamedTuple):
 
     The subjects of a check are the links, each against the world, followed by the pairs. `reach` (subjects, dof): the
     most (m) that a subject moves per rad (per m if prismatic) of each joint; for a pair, the second link relative to
-    the first.
+    the first. `path`: the joints that move a subject, from that of its link inwards, for a pair on to that of the first
+    link; `path_first` (subjects + 1,): the index of its first joint. `beyond` (m, 2): of the joints that move only the
+    second link of a pair, and only the first, those nearest to the base, -1 if there is none.
     """
 
+    parent: Index
     origin: Array
     revolute: NDArray[np.bool_]
     link_joint: Index
@@ -41,6 +44,9 @@ class RobotParts(NamedTuple):
     extents: Array
     pairs: Index
     reach: Array
+    path: Index
+    path_first: Index
+    beyond: Index
 
 
 class Obstacles(NamedTuple):
@@ -160,7 +166,7 @@ def place(body: RobotParts, search: ClearanceSearch, k: int) -> int:
     at = int(search.size[1])
     search.size[1] = at + 1
     search.slot[k] = at
-    joint_frames(body.origin, body.revolute, search.q[k], search.joints)
+    joint_frames(body.parent, body.origin, body.revolute, search.q[k], search.joints)
     for joint in range(search.joints.shape[0]):
         for r in range(3):
             search.axes[at, joint, r], search.axes[at, joint, 3 + r] = (

@@ -198,13 +198,13 @@ def meet(space: Space, pair: int, half: Lanes) -> tuple[Mask, Mask]:
     """
     zero, near = splat(0.0), np.uint32(0)
     a, b, kept = space.pair[2 * pair], space.pair[2 * pair + 1], space.apart[pair]
-    motion = (space.link_joint[a] + 1) * space.balls  # the joints up to that of `a` move both links together
+    motion = (space.common[pair] + 1) * space.balls  # the joints up to the common one move both links together
     i = a * 3 * LANES
     ax, ay, az = load(space.centers, i), load(space.centers, i + LANES), load(space.centers, i + 2 * LANES)
     j = b * 3 * LANES
     bx, by, bz = load(space.centers, j), load(space.centers, j + LANES), load(space.centers, j + 2 * LANES)
     x, y, z = ax - bx, ay - by, az - bz
-    wide = _slack(half, space.motion[motion + b]) + (space.bounds[4 * b + 3] + kept)
+    wide = _slack(half, space.motion[motion + a] + space.motion[motion + b]) + (space.bounds[4 * b + 3] + kept)
     reach = wide + space.bounds[4 * a + 3]
     if below(x * x + y * y + z * z, reach * reach) == 0:
         return near, near
@@ -217,6 +217,7 @@ def meet(space: Space, pair: int, half: Lanes) -> tuple[Mask, Mask]:
         reach = wide + space.spheres[4 * first + 3]
         if below(x * x + y * y + z * z, reach * reach) == 0:
             continue
+        own = space.motion[motion + space.links + first]
         for second in range(space.link_first[b], space.link_first[b + 1]):
             ball = space.links + second
             j = ball * 3 * LANES
@@ -225,7 +226,7 @@ def meet(space: Space, pair: int, half: Lanes) -> tuple[Mask, Mask]:
             z = az - load(space.centers, j + 2 * LANES)
             apart = x * x + y * y + z * z
             radii = space.spheres[4 * first + 3] + space.spheres[4 * second + 3] + kept
-            slack = _slack(half, space.motion[motion + ball])
+            slack = _slack(half, own + space.motion[motion + ball])
             reach = slack + radii
             close = below(apart, reach * reach)
             if close != 0:
@@ -246,7 +247,7 @@ def check(space: Space, whole: bool) -> tuple[Mask, Mask]:
     again: only what is `watched`.
     """
     half, near = load(space.half, 0), np.uint32(0)
-    place_joints(space.dof, space.origin, space.revolute, space.joints, space.frames)
+    place_joints(space.dof, space.parent, space.origin, space.revolute, space.joints, space.frames)
     for link in range(space.links - 1, -1, -1):  # outer links hit obstacles more often
         space.placed[link] = 0
         place_points(space.frames, space.link_joint[link], space.bounds, 4, link, link + 1, space.centers, 0)

@@ -75,13 +75,13 @@ def _sag(view: View, subject: int, node: int, first: int, last: int) -> float:
     """
     _measure(view, node, first, last)
     sag, inner, curve = 0.0, 0.0, 0.0
-    for j in range(view.dof):
+    for at in range(view.path_first[subject + 1] - 1, view.path_first[subject] - 1, -1):
+        j = view.path[at]
         reach = view.reach[view.dof * subject + j]
-        if reach > 0.0:
-            moved = view.moved[view.dof * node + j]
-            sag += reach * view.uneven[view.dof * node + j]
-            curve += reach * moved * (moved + 2.0 * inner)
-            inner += moved
+        moved = view.moved[view.dof * node + j]
+        sag += reach * view.uneven[view.dof * node + j]
+        curve += reach * moved * (moved + 2.0 * inner)
+        inner += moved
     return sag + 0.125 * curve
 
 

@@ -41,6 +41,7 @@ class MotionBody(NamedTuple):
     (subjects,): the largest margin (m) that each can keep. The rest is as in `clearance.RobotParts`.
     """
 
+    parent: Index
     origin: Array
     revolute: NDArray[np.bool_]
     carrier: Index
@@ -48,6 +49,9 @@ class MotionBody(NamedTuple):
     first: Index
     pairs: Index
     reach: Array
+    path: Index
+    path_first: Index
+    beyond: Index
     asked: NDArray[np.bool_]
     kept_margin: Array
 
@@ -106,6 +110,7 @@ def motion_body(parts: RobotParts, asked: NDArray[np.bool_], kept_margin: Array)
     balls = np.zeros((count, EXTENTS))
     balls[:, 4:] = parts.around[:, 3:]
     return MotionBody(
+        parent=parts.parent,
         origin=parts.origin,
         revolute=parts.revolute,
         carrier=(np.concatenate([parts.link_joint[link], parts.link_joint]) + 1).astype(np.int32),
@@ -113,6 +118,9 @@ def motion_body(parts: RobotParts, asked: NDArray[np.bool_], kept_margin: Array)
         first=parts.first,
         pairs=parts.pairs,
         reach=parts.reach,
+        path=parts.path,
+        path_first=parts.path_first,
+        beyond=parts.beyond,
         asked=asked,
         kept_margin=kept_margin,
     )
@@ -159,6 +167,8 @@ class View(NamedTuple):
     extents: Pointer
     first: Pointer
     reach: Pointer
+    path: Pointer
+    path_first: Pointer
     row_pose: Pointer
     row_extents: Pointer
     alive: Pointer
@@ -200,6 +210,8 @@ def view_of(body: MotionBody, world: Obstacles, standing: Solids, alive: Flags, 
         pointer(body.solids.extents),
         pointer(body.first),
         pointer(body.reach),
+        pointer(body.path),
+        pointer(body.path_first),
         pointer(standing.pose),
         pointer(standing.extents),
         pointer(alive),
@@ -247,7 +259,7 @@ def place(view: View, body: MotionBody, motion: Motion, k: int) -> None:
     if motion.placed[k] != 0:
         return
     motion.placed[k] = 1
-    joint_frames(body.origin, body.revolute, motion.q[k], motion.joints[1:])
+    joint_frames(body.parent, body.origin, body.revolute, motion.q[k], motion.joints[1:])
     out = POSE * view.solids * k
     for i in range(view.solids):
         joint, mount = POSE * view.carrier[i], POSE * i

@@ -74,10 +74,10 @@ def _side(value: float) -> float:
 @inlined
 def _note(
     body: MotionBody, motion: Motion, found: Array, count: int, apart: float, pair: tuple[int, int], n: Vector, p: Vector,
-    low: int, high: int,
+    subject: int,
 ) -> int:  # fmt: skip
-    """Store a distance and its gradient in the next row of `found`, or in place of the largest if it is full; only the
-    joints from `low` to `high` - 1 change the distance. Returns how many rows are filled.
+    """Store the distance of a subject and its gradient in the next row of `found`, or in place of the largest if it is
+    full. Returns how many rows are filled.
     """
     row = count
     if count == found.shape[0]:
@@ -92,15 +92,22 @@ def _note(
     found[row, 0], found[row, 1], found[row, 2] = apart, pair[0], pair[1]
     frames = motion.joints
     for j in range(motion.q.shape[1]):
-        rate = 0.0
-        if low <= j < high:
-            z0, z1, z2 = frames[j + 1, 0, 2], frames[j + 1, 1, 2], frames[j + 1, 2, 2]
-            if body.revolute[j]:
-                x, y, z = p[0] - frames[j + 1, 0, 3], p[1] - frames[j + 1, 1, 3], p[2] - frames[j + 1, 2, 3]
-                rate = n[0] * (z1 * z - z2 * y) + n[1] * (z2 * x - z0 * z) + n[2] * (z0 * y - z1 * x)
-            else:
-                rate = n[0] * z0 + n[1] * z1 + n[2] * z2
-        found[row, GRADIENT + j] = rate
+        found[row, GRADIENT + j] = 0.0
+    links = body.first.shape[0] - 1
+    sign, last = 1.0, body.beyond[subject - links, 0] if subject >= links else -1
+    if subject >= links and last < 0:
+        sign = -1.0
+    for at in range(body.path_first[subject], body.path_first[subject + 1]):
+        j = body.path[at]
+        z0, z1, z2 = frames[j + 1, 0, 2], frames[j + 1, 1, 2], frames[j + 1, 2, 2]
+        if body.revolute[j]:
+            x, y, z = p[0] - frames[j + 1, 0, 3], p[1] - frames[j + 1, 1, 3], p[2] - frames[j + 1, 2, 3]
+            rate = n[0] * (z1 * z - z2 * y) + n[1] * (z2 * x - z0 * z) + n[2] * (z0 * y - z1 * x)
+        else:
+            rate = n[0] * z0 + n[1] * z1 + n[2] * z2
+        found[row, GRADIENT + j] = sign * rate
+        if j == last:
+            sign = -1.0  # what follows moves the other link away
     return count
 
 
@@ -167,7 +174,7 @@ def near(
                 if gap - rounded < nearest:
                     nearest, part, n, p = gap - rounded, i, direction, point
             if part >= 0:
-                count = _note(body, motion, found, count, nearest, (part, name), n, p, 0, view.carrier[part])
+                count = _note(body, motion, found, count, nearest, (part, name), n, p, link)
     for subject in range(view.links, body.asked.shape[0]):
         if not body.asked[subject]:
             continue
@@ -187,6 +194,5 @@ def near(
                 if gap - rounded < nearest:
                     nearest, part, other, n, p = gap - rounded, i, j, direction, point
         if part >= 0:
-            low, high = view.carrier[other], view.carrier[part]
-            count = _note(body, motion, found, count, nearest, (part, -1 - other), n, p, low, high)
+            count = _note(body, motion, found, count, nearest, (part, -1 - other), n, p, subject)
     return count

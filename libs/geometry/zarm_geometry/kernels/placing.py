@@ -29,9 +29,11 @@ def sine_cosine(x: Lanes) -> tuple[Lanes, Lanes]:
 
 
 @inlined
-def place_joints(dof: int, origin: Pointer, revolute: Pointer, joints: Pointer, frames: Pointer) -> None:
+def place_joints(
+    dof: int, parent: Pointer, origin: Pointer, revolute: Pointer, joints: Pointer, frames: Pointer
+) -> None:
     """Write to `frames` (dof + 1, 12, 16) the frames that move with each joint, after that of the base, at the
-    configurations `joints` (dof, 16). `origin` and `revolute` as in `RobotArrays`.
+    configurations `joints` (dof, 16). `parent`, `origin` and `revolute` as in `RobotArrays`.
     """
     zero, one = splat(0.0), splat(1.0)
     xx, xy, xz = one, zero, zero
@@ -41,6 +43,12 @@ def place_joints(dof: int, origin: Pointer, revolute: Pointer, joints: Pointer, 
     m = origin
     for k in range(-1, dof):
         if k >= 0:
+            if parent[k] != k - 1:
+                at = FRAME * (parent[k] + 1)
+                xx, xy, xz = load(frames, at), load(frames, at + LANES), load(frames, at + 2 * LANES)
+                yx, yy, yz = load(frames, at + 3 * LANES), load(frames, at + 4 * LANES), load(frames, at + 5 * LANES)
+                zx, zy, zz = load(frames, at + 6 * LANES), load(frames, at + 7 * LANES), load(frames, at + 8 * LANES)
+                px, py, pz = load(frames, at + 9 * LANES), load(frames, at + 10 * LANES), load(frames, at + 11 * LANES)
             f = 12 * k
             px, py, pz = (
                 px + m[f + 3] * xx + m[f + 7] * yx + m[f + 11] * zx,

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from zarm_contract.messages import POSE_COMPONENTS, PathConstraint
 from zarm_geometry.robot_model import RobotModel
-from zarm_planner.kernels.inverse import Chain
 from zarm_planner.kernels.manifold import ConstraintArrays, deviations, project_all
+from zarm_planner.kinematics.ik import chain_of
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ class ConstraintManifold:
             model,
             message.frame,
             ConstraintArrays(
-                Chain(model.origin, model.revolute, model.offset[-1], model.lower, model.upper),
+                chain_of(model),
                 pose,
                 np.eye(3) if message.frame == "base" else np.ascontiguousarray(pose[:3, :3].T),
                 np.flatnonzero(message.axes).astype(np.int64),

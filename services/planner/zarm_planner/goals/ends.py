@@ -107,6 +107,12 @@ def start_end(context: PlanningContext, q: Array, constraint: ConstraintManifold
     return end
 
 
+def blocked_goal(context: PlanningContext, tried: Sequence[Array], field: str) -> ZarmError:
+    """The error of a goal, the request's `field`, none of whose solutions (dof,) can be used."""
+    clearances = [(context.exact.nearest(q, context.deadline.check).distance, q) for q in tried]
+    return _blocked(context, clearances).of_goal(field)
+
+
 def rest_end(context: PlanningContext, q: Array) -> End | None:
     """The end at `q`, which is free of collision; None if there is no way from it to a configuration free in spheres."""
     return _end(context, q, None)

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.errors import PlanningFailed
-from zarm_contract.messages import CartesianGoal, Goal, JointGoal, PoseGoal, WaypointsGoal
+from zarm_contract.messages import CartesianGoal, Goal, GroupsGoal, JointGoal, PoseGoal, WaypointsGoal
 from zarm_planner.cartesian.task import ToolTask
 from zarm_planner.constraints.path_constraint import ConstraintManifold, constrains
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.ends import End, check_start, goal_ends, start_end
+from zarm_planner.goals.group_ends import group_ends
 from zarm_planner.goals.moving_start import moving_start
 from zarm_planner.timing.lead_in import LeadIn
 
@@ -59,6 +60,8 @@ class PlanningProblem:
             vias = isinstance(goal, WaypointsGoal) and len(goal.through) > 1
             lead_in, begin = moving_start(context, np.vstack((start, motion)), vias=vias)
             start = begin.asked
+        if isinstance(goal, GroupsGoal):
+            return cls(begin, (group_ends(context, start, goal, "goal"),), goal, constraint, lead_in)
         through: dict[str, PoseGoal | JointGoal]
         if isinstance(goal, WaypointsGoal):
             through = {f"goal.through.{number}": waypoint for number, waypoint in enumerate(goal.through)}

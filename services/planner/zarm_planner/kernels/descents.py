@@ -114,7 +114,7 @@ def descend_once(
         pointer(memory.normal),
     )
     e, left = pointer(memory.error), pointer(memory.left)
-    place_joints(dof, pointer(robot.origin), pointer(robot.revolute), joints, frames)
+    place_joints(dof, pointer(robot.parent), pointer(robot.origin), pointer(robot.revolute), joints, frames)
     px, py, pz = _write_error(frames, dof, tip, target, e, left)
     damped = damping * (load(left, 0) + load(left, LANES)) + LEAST
     row = dof * LANES

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.edge import edge_free
-from zarm_geometry.kernels.kinematics import Array, joint_frames
+from zarm_geometry.kernels.kinematics import Array, Index, joint_frames
 from zarm_geometry.kernels.simd import LANES
 from zarm_geometry.kernels.vectors import copy
 from zarm_planner.kernels.clock import passed
@@ -45,12 +45,13 @@ to one turn 40, now 29; on other arms 9 to 11, as now.
 
 
 class Chain(NamedTuple):
-    """The kinematics of a robot.
+    """The kinematics of a robot whose joints all move the tip.
 
-    `origin` (dof, 3, 4) and `revolute` (dof,) as in `joint_frames`; `tip` (4, 4): the tip in the last joint's frame;
+    `parent`, `origin` (dof, 3, 4) and `revolute` (dof,) as in `joint_frames`; `tip` (4, 4): the tip in the last joint's frame;
     `lower` and `upper` (dof,): the joints' ranges in rad (m if prismatic).
     """
 
+    parent: Index
     origin: Array
     revolute: NDArray[np.bool_]
     tip: Array
@@ -90,7 +91,7 @@ def make_work(dof: int) -> Work:
 @inlined
 def tip_pose(chain: Chain, q: Array, work: Work) -> None:
     """Write the frames of the joints at `q` (dof,) and the pose of the tip into `work`."""
-    joint_frames(chain.origin, chain.revolute, q, work.frames)
+    joint_frames(chain.parent, chain.origin, chain.revolute, q, work.frames)
     last = q.shape[0] - 1
     for i in range(3):
         for j in range(4):

@@ -140,7 +140,8 @@ def measure(regions: Regions, q: Array, work: RegionWork) -> float:
     """Write the deviations at `q` (dof,) to `work.deviation`; returns by how much (m, rad) the worst exceeds its
     tolerance.
     """
-    joint_frames(regions.chain.origin, regions.chain.revolute, q, work.frames)
+    chain = regions.chain
+    joint_frames(chain.parent, chain.origin, chain.revolute, q, work.frames)
     worst = 0.0
     for region in range(regions.joint.shape[0]):
         place(regions, region, work)

@@ -79,8 +79,8 @@ NOTHING = World((), 0.0)
 
 
 def chain_of(model: RobotModel) -> Chain:
-    """The robot's kinematics in the kernels' form."""
-    return Chain(model.origin, model.revolute, model.offset[-1], model.lower, model.upper)
+    """The kinematics of a robot with one tip in the kernels' form."""
+    return Chain(model.parent, model.origin, model.revolute, model.offset[-1], model.lower, model.upper)
 
 
 def with_turns(model: RobotModel, solutions: Array, near: Array, most: int) -> Array:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import POSE_COMPONENTS, Pose, PoseDeviation, PoseTolerance, TipFrame
-from zarm_geometry.body import along
 from zarm_geometry.frames import matrix
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.working_memory import working_memory
@@ -65,7 +64,7 @@ class PoseRegion:
         bounds = [np.maximum(np.array(allowed.bounds) - _ROUNDING, 0.0)]
         if constraint is not None:
             frames.append(model.offset[-1])
-            joints.append(model.dof - 1)
+            joints.append(model.tip_joint)
             poses.append(constraint.start)
             turns.append(constraint.frame)
             shifts.append(constraint.frame)
@@ -171,7 +170,7 @@ def tip_frame(model: RobotModel, tip: TipFrame | None, field: str) -> tuple[int,
     Raises InvalidRequest for a link that is not the robot's, or is moved by other joints, or not at all.
     """
     if tip is None:
-        return model.dof - 1, model.offset[-1]
+        return model.tip_joint, model.offset[-1]
     offset = matrix(tip.offset.position, tip.offset.orientation)
     attached = [body for body in model.bodies if body.name == tip.link and body.name not in model.robot.urdf.links]
     if attached:
@@ -189,11 +188,10 @@ def tip_frame(model: RobotModel, tip: TipFrame | None, field: str) -> tuple[int,
 
 def _carried_links(model: RobotModel) -> dict[str, tuple[int, Array]]:
     """The links that the robot's joints move: the joint that carries each, and the link (4, 4) in its frame."""
-    robot, carried = model.robot, {}
-    for link in robot.urdf.links:
-        with suppress(InvalidRequest):  # of another tree
-            chain = robot.urdf.chain(robot.descriptor.base_link, link)
-            moving = tuple(joint.name for joint in chain if joint.type != "fixed")
-            if moving and moving == robot.descriptor.joints[: len(moving)]:
-                carried[link] = len(moving) - 1, along(chain, {})[1]
+    carried = {}
+    for link in model.robot.urdf.links:
+        with suppress(InvalidRequest):  # of another tree, or moved by other joints
+            joint, frame = model.mount(link)
+            if joint >= 0:
+                carried[link] = joint, frame
     return carried

@@ -10,7 +10,7 @@ from zarm_planner.context import PlanningContext
 from zarm_planner.goals.problem import PlanningProblem
 from zarm_trajectory.trajectory import TimedTrajectory
 
-GoalKind = Literal["pose", "joints", "waypoints", "line", "arc", "path"]
+GoalKind = Literal["pose", "joints", "waypoints", "groups", "line", "arc", "path"]
 """The `kind` of a goal's message."""
 
 NAMES: Mapping[GoalKind, str] = {"pose": "classic", "joints": "joint_space", "waypoints": "multi_point"}

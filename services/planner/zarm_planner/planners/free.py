@@ -48,7 +48,7 @@ free.
 class FreePlanner(Planner):
     """The quickest motion to a pose, to joints, or through waypoints."""
 
-    names = NAMES
+    names = {**NAMES, "groups": NAMES["pose"]}  # noqa: RUF012
     moving = True
 
     def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:

@@ -26,12 +26,13 @@ from zarm_contract.messages import (
 )
 from zarm_geometry.frames import matrix, pose_of
 from zarm_geometry.meshes import Meshes
+from zarm_geometry.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
 
 def attach(scene: Scene, edit: AttachObject, tip: Array, meshes: Meshes) -> Scene:
-    """The scene with an object attached to the tip, whose pose is `tip` (4, 4). Raises InvalidRequest.
+    """The scene with an object attached to its link, whose pose is `tip` (4, 4). Raises InvalidRequest.
 
     Raises Unavailable for a mesh whose file is missing.
     """
@@ -47,12 +48,12 @@ def attach(scene: Scene, edit: AttachObject, tip: Array, meshes: Meshes) -> Scen
     item = objects.pop(edit.name)
     held = _moved(item, np.asarray(np.linalg.inv(tip), np.float64))
     parts = _parts(held, meshes) if isinstance(held, Mesh | Voxels) else ()
-    attached = Attached(object=held, touch_links=edit.touch_links, parts=parts)
+    attached = Attached(object=held, touch_links=edit.touch_links, parts=parts, link=edit.link)
     return scene.model_copy(update={"objects": tuple(objects.values()), "attached": (*scene.attached, attached)})
 
 
 def detach(scene: Scene, edit: DetachObject, tip: Array) -> Scene:
-    """The scene with an attached object detached at its place for the tip pose `tip` (4, 4). Raises InvalidRequest."""
+    """The scene with an attached object detached at its place where its link is at `tip` (4, 4). Raises InvalidRequest."""
     attached = {one.object.name: one for one in scene.attached}
     if edit.name not in attached:
         raise InvalidRequest(
@@ -62,6 +63,27 @@ def detach(scene: Scene, edit: DetachObject, tip: Array) -> Scene:
         raise InvalidRequest(f"the scene holds {MAX_OBJECTS} objects already; remove some first", field="edit.name")
     item = _moved(attached.pop(edit.name).object, tip)
     return scene.model_copy(update={"objects": (*scene.objects, item), "attached": tuple(attached.values())})
+
+
+def carrier(model: RobotModel, scene: Scene, edit: AttachObject | DetachObject) -> str:
+    """The link to which an object is attached, or is to be. Raises InvalidRequest for one that is not of the robot."""
+    link = edit.link if isinstance(edit, AttachObject) else _attached_to(scene, edit.name)
+    if link is None:
+        return model.robot.descriptor.tip_link
+    if link not in model.robot.urdf.links:
+        links = ", ".join(model.robot.urdf.links)
+        raise InvalidRequest(f"{link} is not a link of the robot; those are {links}", field="edit.link")
+    try:
+        model.mount(link)
+    except InvalidRequest as error:
+        raise InvalidRequest(
+            f"{error.problem.message}; attach to the link that carries it", field="edit.link"
+        ) from error
+    return link
+
+
+def _attached_to(scene: Scene, name: str) -> str | None:
+    return next((one.link for one in scene.attached if one.object.name == name), None)
 
 
 def check_attach(links: tuple[str, ...], name: str, touch_links: tuple[str, ...], field: str) -> None:

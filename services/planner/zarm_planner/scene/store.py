@@ -96,10 +96,11 @@ class SceneStore:
     def edit(
         self,
         request: SceneEdit,
-        tip: Array = _AT_BASE,
+        carrier: Callable[[Scene], Array] = lambda _: _AT_BASE,
         prepare: Callable[[Scene], None] = lambda _: None,
     ) -> Scene:
-        """Apply an edit, save the result and return it; `tip` (4, 4) is the tip pose used to attach or detach objects.
+        """Apply an edit, save the result and return it; `carrier` gives the pose (4, 4) of the link to which an object
+        is attached, or from which it is detached.
 
         `prepare` is called with the new scene before it takes effect. Raises InvalidRequest for a faulty edit and
         Unavailable if it cannot be saved, or concerns links while the scene is lost; then nothing has changed.
@@ -109,7 +110,7 @@ class SceneStore:
                 raise Unavailable(self.lost)  # such an edit says nothing about the objects around the robot
             if isinstance(request.edit, AddObjects | LoadScene):
                 _refuse_links(request.edit.objects, self._links)
-            scene = _edited(self._scene, request, tip, self.meshes)
+            scene = _edited(self._scene, request, carrier(self._scene), self.meshes)
             scene = scene.model_copy(update={"revision": _next(self._scene.revision)})
             content = encode(scene)
             if len(content) > MAX_BYTES:
