@@ -74,8 +74,8 @@ _CLOUD = m.PointCloud(
 )
 _PACKED = m.PointCloud(kind="cloud", name="far", points="AAAAAAAA8D8AAAAAAAAAQAAAAAAAAAhA")
 _OBJECTS = (_CUBOID, _SPHERE, _CAPSULE, _CYLINDER, _MESH, _VOXELS)
-_ATTACHED = m.Attached(object=_CUBOID, touch_links=("finger_left",), parts=(_CUBOID,))
-_ATTACH = m.AttachObject(op="attach", name="table", touch_links=("finger_left",), joints=(0.1, 0.2))
+_ATTACHED = m.Attached(object=_CUBOID, touch_links=("finger_left",), parts=(_CUBOID,), link="left_tcp")
+_ATTACH = m.AttachObject(op="attach", name="table", touch_links=("finger_left",), joints=(0.1, 0.2), link="left_tcp")
 _DETACH = m.DetachObject(op="detach", name="table", joints=(0.1, 0.2))
 _LINKS = m.SetLinkCollision(op="links", names=("link_5",), enabled=False)
 _OBJECTS_OFF = m.SetObjectCollision(op="objects", names=("table",), enabled=False)
@@ -89,13 +89,14 @@ _TOLERANCE = m.PoseTolerance(orientation=(0.1, 0.0, "free"), position=(0.01, "fr
 _BALL = m.PoseTolerance(orientation=("free", "free", "free"), radius=0.05)
 _TIP_FRAME = m.TipFrame(link="gripper", offset=_POSE)
 _FREE_GOAL = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), tolerance=_TOLERANCE, tip=_TIP_FRAME)
+_GROUP_GOAL = m.GroupGoal(group="left", goal=_POSE_GOAL)
 _GOAL_SET = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), alternatives=(_POSE, _POSE))
 _OFFSET = m.Offset(distance=0.1, direction=(0.0, 0.0, 1.0), frame="base", touch=("part",))
 _TOUCH = m.Touch(objects=("part", "bin"), begin=0.5, end=1.25)
 _WITH_WAYS = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), approach=_OFFSET, retreat=_OFFSET)
 _SEGMENTS = (
-    m.Move(kind="move", goal=_WITH_WAYS, name="pick", touch=("bin",), blend=0.02),
-    m.Attach(kind="attach", object="part", touch_links=("finger",), name="grasp"),
+    m.Move(kind="move", goal=_WITH_WAYS, name="pick", touch=("bin",), blend=0.02, group="torso+left"),
+    m.Attach(kind="attach", object="part", touch_links=("finger",), name="grasp", link="left_tcp"),
     m.Wait(kind="wait", duration=0.5, name="settle"),
     m.SpeedChange(kind="speed", velocity_scale=0.5, acceleration_scale=0.25, name="slow"),
     m.Grip(kind="grip", width=0.04),
@@ -143,6 +144,7 @@ _PATH = m.PathGoal(
     **_ALONG_CURVE,
 )
 _JOINT_GOAL = m.JointGoal(kind="joints", position=(0.3, -0.4))
+_GROUPS_GOAL = m.GroupsGoal(kind="groups", goals=(_GROUP_GOAL, m.GroupGoal(group="right", goal=_JOINT_GOAL)))
 _WAYPOINTS = m.WaypointsGoal(
     kind="waypoints", through=(_POSE_GOAL, _JOINT_GOAL), position_tolerance=0.01, angle_tolerance=0.05
 )
@@ -225,6 +227,7 @@ EXAMPLES: tuple[Message, ...] = (
     _PATH_CONSTRAINT,
     m.PlanRequest(
         goal=_POSE_GOAL,
+        group="left",
         start=(0.0, 0.0),
         planner="classic",
         path_constraint=_PATH_CONSTRAINT,
@@ -244,6 +247,9 @@ EXAMPLES: tuple[Message, ...] = (
     m.PlanRequest(goal=_JOINT_GOAL),
     m.PlanRequest(goal=_JOINT_GOAL, start_state=_START_STATE),
     m.PlanRequest(goal=_WAYPOINTS),
+    _GROUP_GOAL,
+    _GROUPS_GOAL,
+    m.PlanRequest(goal=_GROUPS_GOAL),
     _TIMINGS,
     _TOO_NEAR,
     _TOOL_MOTION,
@@ -271,9 +277,9 @@ EXAMPLES: tuple[Message, ...] = (
     m.CancelPlan(request_id="request-1"),
     m.CancelledPlan(was_running=True),
     m.IkRequest(poses=(_POSE, _POSE), near=(0.0, 0.0), max_solutions=4, collision_free=False, device="cpu", seed=9),
-    m.IkRequest(poses=(_POSE,), tolerance=_BALL, tip=_TIP_FRAME),
+    m.IkRequest(poses=(_POSE,), tolerance=_BALL, tip=_TIP_FRAME, group="left"),
     m.IkSolutions(solutions=(((0.1, 0.2), (0.3, 0.4)), ())),
-    m.FkRequest(joints=((0.1, 0.2), (0.3, 0.4)), device="kernels"),
+    m.FkRequest(joints=((0.1, 0.2), (0.3, 0.4)), device="kernels", group="left"),
     m.FkPoses(poses=(_POSE,)),
     m.CheckRequest(joints=((0.1, 0.2),), spheres=True, points=True),
     _CHECKED,

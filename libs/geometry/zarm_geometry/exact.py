@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zarm_geometry.kernels.clearance import begin, look
-from zarm_geometry.kernels.clearance_search import Obstacles, RobotParts, search
+from zarm_geometry.kernels.clearance_search import COUNT, FIRST, OTHERS, OWN, Obstacles, RobotParts, search
 from zarm_geometry.kernels.convex import PRECISION
 from zarm_geometry.kernels.motion import MotionBody, Solids, motion_body, solids
 from zarm_geometry.robot_model import RobotModel
@@ -226,10 +226,8 @@ def robot_parts(model: RobotModel) -> tuple[RobotParts, Array]:
         parts = slice(first[mover], first[mover + 1])
         reach[subject] = _reach(model, path, far[parts].max(initial=0.0), model.link_joint[mover])
     body = RobotParts(
-        parent=model.parent,
+        tree=model.tree.table,
         origin=model.origin,
-        revolute=model.revolute,
-        link_joint=model.link_joint,
         offset=model.offset[: len(model.links)],
         around=around,
         spread=spread,
@@ -238,24 +236,32 @@ def robot_parts(model: RobotModel) -> tuple[RobotParts, Array]:
         extents=extents,
         pairs=model.pairs,
         reach=reach,
-        path=np.array([joint for path in paths for joint in path], np.int32),
-        path_first=np.cumsum([0, *map(len, paths)], dtype=np.int32),
-        beyond=beyond,
+        paths=_table(model, paths, beyond),
     )
     return body, reach[: len(model.links)].max(axis=0, initial=0.0)
 
 
-def _paths(model: RobotModel) -> tuple[list[list[int]], NDArray[np.int32]]:
-    """`path` of each subject of `RobotParts`, and `beyond`."""
+def _paths(model: RobotModel) -> tuple[list[list[int]], list[tuple[int, int]]]:
+    """The joints of each subject in `RobotParts.paths`, and what is in OWN and OTHERS."""
     inwards = [model.ancestors(joint) for joint in model.link_joint.tolist()]
-    paths, beyond = [*inwards], np.full((len(model.pairs), 2), -1, np.int32)
-    for pair, (first, second) in enumerate(model.pairs.tolist()):
+    paths = [*inwards]
+    beyond = [(path[-1] if path else -1, -1) for path in inwards]
+    for first, second in model.pairs.tolist():
         # Both links are moved as one by the joints up to the last common one.
         own = [joint for joint in inwards[second] if joint not in inwards[first]]
         others = [joint for joint in inwards[first] if joint not in inwards[second]][::-1]
         paths.append(own + others)
-        beyond[pair] = own[-1] if own else -1, others[0] if others else -1
+        beyond.append((own[-1] if own else -1, others[0] if others else -1))
     return paths, beyond
+
+
+def _table(model: RobotModel, paths: list[list[int]], beyond: list[tuple[int, int]]) -> NDArray[np.int32]:
+    """`RobotParts.paths`."""
+    table = np.full((len(paths), FIRST + model.dof), -1, np.int32)
+    for row, path, (own, others) in zip(table, paths, beyond, strict=True):
+        row[COUNT], row[OWN], row[OTHERS] = len(path), own, others
+        row[FIRST : FIRST + len(path)] = path
+    return table
 
 
 def _reach(model: RobotModel, path: Sequence[int], extent: float, carrier: int) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -42,6 +43,11 @@ class JointTree:
             origin.append(passed[-1][1])
         revolute = np.array([links[joint][1] != "prismatic" for joint in joints])
         return cls(np.array(parent, np.int32), np.array(origin), revolute)
+
+    @cached_property
+    def table(self) -> Index:
+        """The tree (dof, 2) as `kernels.kinematics.joint_frames` takes it."""
+        return np.column_stack([self.parent, self.revolute]).astype(np.int32)
 
     def ancestors(self, joint: int) -> list[int]:
         """A joint and those that carry it, inwards; none for the base (-1)."""

@@ -206,9 +206,8 @@ class RobotModel:
             offset=np.array([*(body.pose for body in bodies), tip[1]]),
             weight=_weight(reach),
             arrays=RobotArrays(
-                parent=tree.parent,
+                tree=tree.table,
                 origin=tree.origin.astype(np.float32),
-                revolute=tree.revolute.astype(np.uint8),
                 link_joint=link_joint,
                 link_first=np.cumsum([0, *(len(balls) for balls in spheres)], dtype=np.int32),
                 spheres=np.concatenate([np.empty((0, 4)), *spheres]).astype(np.float32),
@@ -285,9 +284,9 @@ class RobotModel:
             for own, ball in zip(placed, around, strict=True)
         ]
         return Cover(
-            parent=self.parent,
+            tree=self.tree.table,
             origin=self.arrays.origin,
-            revolute=self.arrays.revolute,
+            link_joint=self.link_joint,
             balls=np.concatenate([np.empty((0, 4)), *placed]).astype(np.float32),
             first=np.cumsum([0, *map(len, placed)], dtype=np.int32),
             around=np.column_stack([np.reshape(around, (-1, 4)), spread]).astype(np.float32),
@@ -310,7 +309,7 @@ class RobotModel:
         """The tip Jacobian (6, dof) at `q` (dof,): m/rad and rad/rad (m/m and 0 if prismatic), base frame."""
         out = np.empty((1, self.dof + 1, 4, 4))
         joint, offset = self._joints_and_tip
-        frames(self.parent, self.origin, self.revolute, joint, offset, np.array(q, np.float64, ndmin=2), out)
+        frames(self.tree.table, self.origin, joint, offset, np.array(q, np.float64, ndmin=2), out)
         axes, arms = out[0, :-1, :3, 2], out[0, -1, :3, 3] - out[0, :-1, :3, 3]
         (a, b, c), (x, y, z) = axes.T, arms.T
         turning = (b * z - c * y, c * x - a * z, a * y - b * x, a, b, c)
@@ -339,7 +338,7 @@ class RobotModel:
             raise InvalidRequest(f"a joint vector of {self.robot.descriptor.name} has {self.dof} values")
         flat = joints.reshape(-1, self.dof)
         out = np.empty((len(flat), len(joint), 4, 4))
-        frames(self.parent, self.origin, self.revolute, joint, offset, flat, out)
+        frames(self.tree.table, self.origin, joint, offset, flat, out)
         return out.reshape(*joints.shape[:-1], len(joint), 4, 4)
 
 

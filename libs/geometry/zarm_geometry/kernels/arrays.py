@@ -24,8 +24,8 @@ DEEPEST = 32
 class RobotArrays(NamedTuple):
     """A robot as the collision kernels read it; links are sorted by the joint that carries them.
 
-    `parent` (dof,): the joint that carries each joint, an earlier one, or -1 for the base; `origin` (dof, 3, 4): each
-    joint's frame in the frame of its parent, with the joint's axis along z; `revolute` (dof,): 0 for prismatic joints. `link_joint` (links,): the joint that carries a link, -1 for the base;
+    `tree` (dof, 2): the joint that carries each joint, an earlier one, or -1 for the base, and 0 for a prismatic joint;
+    `origin` (dof, 3, 4): each joint's frame in that of the joint that carries it, with the joint's axis along z. `link_joint` (links,): the joint that carries a link, -1 for the base;
     `link_first` (links + 1,): the index of its first sphere. `spheres` (n, 4): x, y, z, radius (m) in the frame of that
     joint; `bounds` (links, 4): one sphere that encloses all of a link. `pairs` (m, 2): links that can collide, the one
     nearer to the base first; `common` (m,): the last joint that moves both, -1 for the base; `apart` (m,): the distance
@@ -34,9 +34,8 @@ class RobotArrays(NamedTuple):
     spheres of the links, then the spheres, then zeros up to a multiple of 16.
     """
 
-    parent: Index
+    tree: Index
     origin: Single
-    revolute: NDArray[np.uint8]
     link_joint: Index
     link_first: Index
     spheres: Single
@@ -85,9 +84,8 @@ class Space(NamedTuple):
     pairs: int
     balls: int
     nodes: int
-    parent: Pointer
+    tree: Pointer
     origin: Pointer
-    revolute: Pointer
     link_joint: Pointer
     link_first: Pointer
     spheres: Pointer
@@ -158,9 +156,8 @@ def space(robot: RobotArrays, world: WorldArrays, memory: Memory) -> Space:
         robot.pairs.shape[0],
         robot.reach.shape[1],
         world.boxes.shape[0],
-        pointer(robot.parent),
+        pointer(robot.tree),
         pointer(robot.origin),
-        pointer(robot.revolute),
         pointer(robot.link_joint),
         pointer(robot.link_first),
         pointer(robot.spheres),

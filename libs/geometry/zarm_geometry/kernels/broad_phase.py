@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import SHAPE, Pointer, Single
-from zarm_geometry.kernels.clearance_search import ClearanceSearch, Obstacles, RobotParts, push
+from zarm_geometry.kernels.clearance_search import OTHERS, OWN, ClearanceSearch, Obstacles, RobotParts, push
 from zarm_geometry.kernels.collision import in_box, squared_distance
 from zarm_geometry.kernels.compiled import inlined
 from zarm_geometry.kernels.placing import FRAME, place_joints, place_points
@@ -49,13 +49,13 @@ class Cover(NamedTuple):
     """Balls that contain a robot's exact shapes, sorted by link.
 
     `balls` (n, 4): x, y, z, radius (m) in the frame of the joint that carries them; `first` (links + 1,): the index of
-    a link's first ball; `around` (links, 5): a ball that encloses those of a link, and the distance from its centre to
-    the farthest of their centres. `parent`, `origin` and `revolute` as in `RobotArrays`.
+    a link's first ball, `link_joint` (links,) the joint that carries it; `around` (links, 5): a ball that encloses those of a link, and the distance from its centre to
+    the farthest of their centres. `tree` and `origin` as in `RobotArrays`.
     """
 
-    parent: Index
+    tree: Index
     origin: Single
-    revolute: NDArray[np.uint8]
+    link_joint: Index
     balls: Single
     first: Index
     around: Single
@@ -100,9 +100,8 @@ class _View(NamedTuple):
     dof: int
     links: int
     nodes: int
-    parent: Pointer
+    tree: Pointer
     origin: Pointer
-    revolute: Pointer
     link_joint: Pointer
     first: Pointer
     balls: Pointer
@@ -124,7 +123,7 @@ class _View(NamedTuple):
 @inlined
 def _place(view: _View) -> None:
     """Place the joints, the balls and the balls around links for the joints in `angle`."""
-    place_joints(view.dof, view.parent, view.origin, view.revolute, view.angle, view.frames)
+    place_joints(view.dof, view.tree, view.origin, view.angle, view.frames)
     for link in range(view.links):
         joint = view.link_joint[link]
         place_points(view.frames, joint, view.bounds, 5, link, link + 1, view.around, 0)
@@ -145,7 +144,7 @@ def _measure_travel(view: _View, link: int) -> None:
     joint = view.link_joint[link]
     while joint >= 0:
         way = load(view.way, joint * LANES)
-        if view.revolute[joint] != 0:
+        if view.tree[2 * joint + 1] != 0:
             a = FRAME * (joint + 1) + 6 * LANES  # the joint's axis, and behind it a point on it
             ux, uy, uz = load(view.frames, a), load(view.frames, a + LANES), load(view.frames, a + 2 * LANES)
             dx = x - load(view.frames, a + 3 * LANES)
@@ -157,7 +156,7 @@ def _measure_travel(view: _View, link: int) -> None:
         else:
             travel = travel + way
         store(view.travel, (link * view.dof + joint) * LANES, travel)
-        joint = view.parent[joint]
+        joint = view.tree[2 * joint]
 
 
 @inlined
@@ -273,10 +272,9 @@ def push_near(
         dof,
         links,
         world.boxes.shape[0],
-        pointer(cover.parent),
+        pointer(cover.tree),
         pointer(cover.origin),
-        pointer(cover.revolute),
-        pointer(body.link_joint),
+        pointer(cover.link_joint),
         pointer(cover.first),
         pointer(cover.balls),
         pointer(cover.around),
@@ -302,7 +300,7 @@ def push_near(
             k = (low + high) // 2
             for joint in range(dof):
                 q = search.q[k, joint]
-                if cover.revolute[joint] != 0:
+                if cover.tree[joint, 1] != 0:
                     q -= 2.0 * math.pi * round(q / (2.0 * math.pi))
                 angle[joint * LANES + lane] = q
                 moved = search.moved[k, joint]
@@ -317,13 +315,10 @@ def push_near(
             one, other, travel = subject, -1, splat(0.0)
             if subject >= links:
                 other, one = body.pairs[subject - links, 0], body.pairs[subject - links, 1]
-                beyond = body.beyond[subject - links, 0]
-                if body.beyond[subject - links, 1] >= 0:
-                    travel = load(view.travel, (other * dof + body.beyond[subject - links, 1]) * LANES)
-            else:
-                beyond = body.path[body.path_first[subject + 1] - 1] if view.link_joint[one] >= 0 else -1
-            if beyond >= 0:
-                travel = travel + load(view.travel, (one * dof + beyond) * LANES)
+                if body.paths[subject, OTHERS] >= 0:
+                    travel = load(view.travel, (other * dof + body.paths[subject, OTHERS]) * LANES)
+            if body.paths[subject, OWN] >= 0:
+                travel = travel + load(view.travel, (one * dof + body.paths[subject, OWN]) * LANES)
             clearance = travel + wanted
             if subject < links:
                 found = _to_world(view, subject, travel, clearance)

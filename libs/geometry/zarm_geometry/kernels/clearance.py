@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import Single
 from zarm_geometry.kernels.broad_phase import FEW, Cover, make_batch, push_near
-from zarm_geometry.kernels.clearance_search import ClearanceSearch, Obstacles, RobotParts, drop_top, place, push
+from zarm_geometry.kernels.clearance_search import (
+    COUNT,
+    FIRST,
+    ClearanceSearch,
+    Obstacles,
+    RobotParts,
+    drop_top,
+    place,
+    push,
+)
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.convex import PRECISION, Extents, Turn, Vector, core_distance, core_gap, turned, turned_back
 from zarm_geometry.kernels.simd import lowest_bit
@@ -56,11 +65,11 @@ def _travel(
     low, k, high, slot = stretch
     moved = search.moved
     before, after = 0.0, 0.0
-    for at in range(body.path_first[subject], body.path_first[subject + 1]):
-        joint = body.path[at]
+    for at in range(FIRST, FIRST + body.paths[subject, COUNT]):
+        joint = body.paths[subject, at]
         reach = body.reach[subject, joint]
         earlier, later = reach, reach
-        if body.revolute[joint]:
+        if body.tree[joint, 1] != 0:
             arm = _arm(search, slot, joint, x, y, z) + core
             earlier, later = min(reach, arm + before), min(reach, arm + after)
         before += earlier * (moved[k, joint] - moved[low, joint])
@@ -70,9 +79,9 @@ def _travel(
 
 @inlined
 def _rate(
-    body: RobotParts, search: ClearanceSearch, stretch: Stretch, i: int, first: int, last: int, step: int
+    body: RobotParts, search: ClearanceSearch, stretch: Stretch, subject: int, i: int, first: int, last: int, step: int
 ) -> None:
-    """Write to `search.rates` upper bounds on how far each joint from `first` to `last` in `RobotParts.path` moves a
+    """Write to `search.rates` upper bounds on how far each joint from `first` to `last` in the path of a subject moves a
     part, in m/rad (1 for prismatic joints), before and after the middle of an interval.
 
     The loop starts at the joint next to the part: the joints already visited may carry the part further away from the
@@ -84,9 +93,9 @@ def _rate(
     x, y, z = search.centers[i, 0], search.centers[i, 1], search.centers[i, 2]
     before, after = 0.0, 0.0
     for at in range(first, last + step, step):
-        joint = body.path[at]
+        joint = body.paths[subject, at]
         earlier, later = 1.0, 1.0
-        if body.revolute[joint]:
+        if body.tree[joint, 1] != 0:
             arm = _arm(search, slot, joint, x, y, z) + core
             earlier, later = arm + before, arm + after
         rates[i, joint, 0], rates[i, joint, 1] = earlier, later
@@ -351,9 +360,9 @@ def _to_each_other(
         return (before, after), found, best
     _place_parts(body, search, slot, one)
     _place_parts(body, search, slot, other)
-    outer, inner = body.path_first[subject], body.path_first[subject + 1] - 1
+    outer, inner = FIRST, FIRST + body.paths[subject, COUNT] - 1
     for j in range(body.first[other], body.first[other + 1]):
-        _rate(body, search, stretch, j, inner, outer, -1)
+        _rate(body, search, stretch, subject, j, inner, outer, -1)
     rates, moved = search.rates, search.moved
     p = search.centers
     for i in range(body.first[one], body.first[one + 1]):
@@ -361,11 +370,11 @@ def _to_each_other(
         apart = math.sqrt((p[i, 0] - bx) ** 2 + (p[i, 1] - by) ** 2 + (p[i, 2] - bz) ** 2)
         if apart - reach >= max(best, before + travel[0], after + travel[1], 0.0):
             continue
-        _rate(body, search, stretch, i, outer, inner, 1)
+        _rate(body, search, stretch, subject, i, outer, inner, 1)
         for j in range(body.first[other], body.first[other + 1]):
             own_before, own_after = 0.0, 0.0
             for at in range(outer, inner + 1):
-                joint = body.path[at]
+                joint = body.paths[subject, at]
                 own_before += min(rates[i, joint, 0], rates[j, joint, 0]) * (moved[k, joint] - moved[low, joint])
                 own_after += min(rates[i, joint, 1], rates[j, joint, 1]) * (moved[high, joint] - moved[k, joint])
             limit = max(best, before + own_before, after + own_after, 0.0)
@@ -409,7 +418,7 @@ def _look_at(
     it, how far (m) the subject moves there, `found` with the pairs that may be closer than `best`, and the smallest
     upper bound so far.
     """
-    links = body.link_joint.shape[0]
+    links = body.offset.shape[0]
     k = (low + high) // 2
     slot = place(body, search, k)
     stretch = low, k, high - 1, slot

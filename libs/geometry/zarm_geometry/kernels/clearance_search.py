@@ -14,12 +14,14 @@ from zarm_geometry.kernels.kinematics import joint_frames
 Array = NDArray[np.float64]
 Index = NDArray[np.int32]
 
+COUNT, OWN, OTHERS, FIRST = 0, 1, 2, 3
+"""Columns of `RobotParts.paths`."""
+
 
 class RobotParts(NamedTuple):
     """A robot's exact shapes.
 
-    `parent`, `revolute` (dof,), `origin` (dof, 3, 4): as in `kinematics.joint_frames`. Per link: `link_joint` (links,): the joint
-    that carries it, -1 for the base; `offset` (links, 4, 4): its frame in that joint's frame; `around` (links, 4): its
+    `tree` (dof, 2), `origin` (dof, 3, 4): as in `kinematics.joint_frames`. Per link: `offset` (links, 4, 4): its frame in that joint's frame; `around` (links, 4): its
     bounding sphere, x, y, z, radius in its frame; `spread` (links,): the distance (m) from that sphere's centre to the
     farthest point of its parts' cores; `first` (links + 1,): the index of its first part. Per part: `pose` (parts, 4,
     4) in the link's frame; `extents` (parts, 6): four numbers of the core as in `convex`, the rounding, the distance
@@ -27,15 +29,13 @@ class RobotParts(NamedTuple):
 
     The subjects of a check are the links, each against the world, followed by the pairs. `reach` (subjects, dof): the
     most (m) that a subject moves per rad (per m if prismatic) of each joint; for a pair, the second link relative to
-    the first. `path`: the joints that move a subject, from that of its link inwards, for a pair on to that of the first
-    link; `path_first` (subjects + 1,): the index of its first joint. `beyond` (m, 2): of the joints that move only the
-    second link of a pair, and only the first, those nearest to the base, -1 if there is none.
+    the first. `paths` (subjects, FIRST + dof): from FIRST on the joints that move a subject, from that of its link
+    inwards, for a pair on to that of the first link, then -1; before, their COUNT, and of the joints that move only the
+    link, or the second link (OWN), and only the first one (OTHERS), the one nearest to the base, -1 if there is none.
     """
 
-    parent: Index
+    tree: Index
     origin: Array
-    revolute: NDArray[np.bool_]
-    link_joint: Index
     offset: Array
     around: Array
     spread: Array
@@ -44,9 +44,7 @@ class RobotParts(NamedTuple):
     extents: Array
     pairs: Index
     reach: Array
-    path: Index
-    path_first: Index
-    beyond: Index
+    paths: Index
 
 
 class Obstacles(NamedTuple):
@@ -106,7 +104,7 @@ def search(body: RobotParts, q: Array, asked: NDArray[np.bool_]) -> ClearanceSea
         q,
         moved,
         np.full(samples, -1, np.int32),
-        np.empty((samples, body.link_joint.shape[0], 3, 4)),
+        np.empty((samples, body.offset.shape[0], 3, 4)),
         np.empty((samples, dof, 6)),
         # The intervals of one subject do not overlap, so the heap never grows larger than this.
         np.empty(samples * count),
@@ -166,15 +164,15 @@ def place(body: RobotParts, search: ClearanceSearch, k: int) -> int:
     at = int(search.size[1])
     search.size[1] = at + 1
     search.slot[k] = at
-    joint_frames(body.parent, body.origin, body.revolute, search.q[k], search.joints)
+    joint_frames(body.tree, body.origin, search.q[k], search.joints)
     for joint in range(search.joints.shape[0]):
         for r in range(3):
             search.axes[at, joint, r], search.axes[at, joint, 3 + r] = (
                 search.joints[joint, r, 2],
                 search.joints[joint, r, 3],
             )
-    for link in range(body.link_joint.shape[0]):
-        j = body.link_joint[link]
+    for link in range(body.offset.shape[0]):
+        j = body.paths[link, FIRST]
         for r in range(3):
             for c in range(4):
                 if j < 0:

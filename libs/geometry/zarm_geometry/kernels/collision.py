@@ -247,7 +247,7 @@ def check(space: Space, whole: bool) -> tuple[Mask, Mask]:
     again: only what is `watched`.
     """
     half, near = load(space.half, 0), np.uint32(0)
-    place_joints(space.dof, space.parent, space.origin, space.revolute, space.joints, space.frames)
+    place_joints(space.dof, space.tree, space.origin, space.joints, space.frames)
     for link in range(space.links - 1, -1, -1):  # outer links hit obstacles more often
         space.placed[link] = 0
         place_points(space.frames, space.link_joint[link], space.bounds, 4, link, link + 1, space.centers, 0)

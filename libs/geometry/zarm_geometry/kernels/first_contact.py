@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from zarm_geometry.kernels.arrays import Pointer
-from zarm_geometry.kernels.clearance_search import Obstacles
+from zarm_geometry.kernels.clearance_search import COUNT, FIRST, Obstacles
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.convex import Extents, Vector, core_gap, core_point, core_reach, turned, turned_back
 from zarm_geometry.kernels.motion import (
@@ -75,8 +75,9 @@ def _sag(view: View, subject: int, node: int, first: int, last: int) -> float:
     """
     _measure(view, node, first, last)
     sag, inner, curve = 0.0, 0.0, 0.0
-    for at in range(view.path_first[subject + 1] - 1, view.path_first[subject] - 1, -1):
-        j = view.path[at]
+    path = (FIRST + view.dof) * subject
+    for at in range(path + FIRST + view.paths[path + COUNT] - 1, path + FIRST - 1, -1):
+        j = view.paths[at]
         reach = view.reach[view.dof * subject + j]
         moved = view.moved[view.dof * node + j]
         sag += reach * view.uneven[view.dof * node + j]

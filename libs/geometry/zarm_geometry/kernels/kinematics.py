@@ -14,26 +14,26 @@ Index = NDArray[np.int32]
 
 
 @inlined
-def joint_frames(parent: Index, origin: Array, revolute: NDArray[np.bool_], q: Array, out: Array) -> None:
+def joint_frames(tree: Index, origin: Array, q: Array, out: Array) -> None:
     """Write to `out` (dof, 3, 4) the frames that move with each joint, in the base frame.
 
-    `parent` (dof,): the joint that carries each joint, an earlier one, or -1 for the base. `origin` (dof, 3, 4): each
-    joint's frame in the frame of its parent at q = 0, with the joint's axis along its z.
+    `tree` (dof, 2): the joint that carries each joint, an earlier one, or -1 for the base; and 0 if it is prismatic.
+    `origin` (dof, 3, 4): each joint's frame in that of the joint that carries it at q = 0, with its axis along z.
     """
     for k in range(q.shape[0]):
-        c = math.cos(q[k]) if revolute[k] else 1.0
-        s = math.sin(q[k]) if revolute[k] else 0.0
-        slide = 0.0 if revolute[k] else q[k]
+        carrier, revolute = tree[k, 0], tree[k, 1] != 0
+        c = math.cos(q[k]) if revolute else 1.0
+        s = math.sin(q[k]) if revolute else 0.0
+        slide = 0.0 if revolute else q[k]
         for i in range(3):
-            if parent[k] < 0:
+            if carrier < 0:
                 x, y, z, p = origin[k, i, 0], origin[k, i, 1], origin[k, i, 2], origin[k, i, 3]
             else:
-                at = out[parent[k], i]
-                a, b, d = at[0], at[1], at[2]
+                a, b, d = out[carrier, i, 0], out[carrier, i, 1], out[carrier, i, 2]
                 x = a * origin[k, 0, 0] + b * origin[k, 1, 0] + d * origin[k, 2, 0]
                 y = a * origin[k, 0, 1] + b * origin[k, 1, 1] + d * origin[k, 2, 1]
                 z = a * origin[k, 0, 2] + b * origin[k, 1, 2] + d * origin[k, 2, 2]
-                p = a * origin[k, 0, 3] + b * origin[k, 1, 3] + d * origin[k, 2, 3] + at[3]
+                p = a * origin[k, 0, 3] + b * origin[k, 1, 3] + d * origin[k, 2, 3] + out[carrier, i, 3]
             out[k, i, 0] = c * x + s * y
             out[k, i, 1] = c * y - s * x
             out[k, i, 2] = z
@@ -41,16 +41,14 @@ def joint_frames(parent: Index, origin: Array, revolute: NDArray[np.bool_], q: A
 
 
 @brief
-def frames(
-    parent: Index, origin: Array, revolute: NDArray[np.bool_], joint: Index, offset: Array, q: Array, out: Array
-) -> None:
+def frames(tree: Index, origin: Array, joint: Index, offset: Array, q: Array, out: Array) -> None:
     """Write to `out` (n, m, 4, 4) the transforms of m frames in the base frame, for the n configurations `q` (n, dof).
 
     Frame j is rigidly attached to the joint `joint[j]`, or to the base if that is -1, at `offset[j]` (4, 4).
     """
     moving = np.empty((q.shape[1], 3, 4))
     for n in range(q.shape[0]):
-        joint_frames(parent, origin, revolute, q[n], moving)
+        joint_frames(tree, origin, q[n], moving)
         for j in range(joint.shape[0]):
             for i in range(3):
                 for c in range(4):

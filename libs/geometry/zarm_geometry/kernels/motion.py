@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import Index, Pointer
-from zarm_geometry.kernels.clearance_search import Obstacles, RobotParts
+from zarm_geometry.kernels.clearance_search import FIRST, Obstacles, RobotParts
 from zarm_geometry.kernels.compiled import brief, inlined
 from zarm_geometry.kernels.convex import Extents, Turn, turned
 from zarm_geometry.kernels.kinematics import joint_frames
@@ -41,17 +41,14 @@ class MotionBody(NamedTuple):
     (subjects,): the largest margin (m) that each can keep. The rest is as in `clearance.RobotParts`.
     """
 
-    parent: Index
+    tree: Index
     origin: Array
-    revolute: NDArray[np.bool_]
     carrier: Index
     solids: Solids
     first: Index
     pairs: Index
     reach: Array
-    path: Index
-    path_first: Index
-    beyond: Index
+    paths: Index
     asked: NDArray[np.bool_]
     kept_margin: Array
 
@@ -102,7 +99,8 @@ def solids(rows: Array) -> Solids:
 
 def motion_body(parts: RobotParts, asked: NDArray[np.bool_], kept_margin: Array) -> MotionBody:
     """Pack a robot for `first_contact`."""
-    count = len(parts.link_joint)
+    count = len(parts.offset)
+    link_joint = parts.paths[:count, FIRST]
     link = np.repeat(np.arange(count), np.diff(parts.first))
     around = np.repeat(np.eye(4)[None], count, axis=0)
     around[:, :3, 3] = parts.around[:, :3]
@@ -110,17 +108,14 @@ def motion_body(parts: RobotParts, asked: NDArray[np.bool_], kept_margin: Array)
     balls = np.zeros((count, EXTENTS))
     balls[:, 4:] = parts.around[:, 3:]
     return MotionBody(
-        parent=parts.parent,
+        tree=parts.tree,
         origin=parts.origin,
-        revolute=parts.revolute,
-        carrier=(np.concatenate([parts.link_joint[link], parts.link_joint]) + 1).astype(np.int32),
+        carrier=(np.concatenate([link_joint[link], link_joint]) + 1).astype(np.int32),
         solids=Solids(np.ascontiguousarray(pose[:, :3]), np.concatenate([parts.extents, balls])),
         first=parts.first,
         pairs=parts.pairs,
         reach=parts.reach,
-        path=parts.path,
-        path_first=parts.path_first,
-        beyond=parts.beyond,
+        paths=parts.paths,
         asked=asked,
         kept_margin=kept_margin,
     )
@@ -167,8 +162,7 @@ class View(NamedTuple):
     extents: Pointer
     first: Pointer
     reach: Pointer
-    path: Pointer
-    path_first: Pointer
+    paths: Pointer
     row_pose: Pointer
     row_extents: Pointer
     alive: Pointer
@@ -210,8 +204,7 @@ def view_of(body: MotionBody, world: Obstacles, standing: Solids, alive: Flags, 
         pointer(body.solids.extents),
         pointer(body.first),
         pointer(body.reach),
-        pointer(body.path),
-        pointer(body.path_first),
+        pointer(body.paths),
         pointer(standing.pose),
         pointer(standing.extents),
         pointer(alive),
@@ -259,7 +252,7 @@ def place(view: View, body: MotionBody, motion: Motion, k: int) -> None:
     if motion.placed[k] != 0:
         return
     motion.placed[k] = 1
-    joint_frames(body.parent, body.origin, body.revolute, motion.q[k], motion.joints[1:])
+    joint_frames(body.tree, body.origin, motion.q[k], motion.joints[1:])
     out = POSE * view.solids * k
     for i in range(view.solids):
         joint, mount = POSE * view.carrier[i], POSE * i

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import Pointer
-from zarm_geometry.kernels.clearance_search import Obstacles
+from zarm_geometry.kernels.clearance_search import COUNT, FIRST, OWN, Obstacles
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.convex import Extents, Vector, core_gap, separation, turned, turned_back
 from zarm_geometry.kernels.motion import (
@@ -93,20 +93,18 @@ def _note(
     frames = motion.joints
     for j in range(motion.q.shape[1]):
         found[row, GRADIENT + j] = 0.0
-    links = body.first.shape[0] - 1
-    sign, last = 1.0, body.beyond[subject - links, 0] if subject >= links else -1
-    if subject >= links and last < 0:
-        sign = -1.0
-    for at in range(body.path_first[subject], body.path_first[subject + 1]):
-        j = body.path[at]
+    own = body.paths[subject, OWN]
+    sign = 1.0 if own >= 0 else -1.0
+    for at in range(FIRST, FIRST + body.paths[subject, COUNT]):
+        j = body.paths[subject, at]
         z0, z1, z2 = frames[j + 1, 0, 2], frames[j + 1, 1, 2], frames[j + 1, 2, 2]
-        if body.revolute[j]:
+        if body.tree[j, 1] != 0:
             x, y, z = p[0] - frames[j + 1, 0, 3], p[1] - frames[j + 1, 1, 3], p[2] - frames[j + 1, 2, 3]
             rate = n[0] * (z1 * z - z2 * y) + n[1] * (z2 * x - z0 * z) + n[2] * (z0 * y - z1 * x)
         else:
             rate = n[0] * z0 + n[1] * z1 + n[2] * z2
         found[row, GRADIENT + j] = sign * rate
-        if j == last:
+        if j == own:
             sign = -1.0  # what follows moves the other link away
     return count
 

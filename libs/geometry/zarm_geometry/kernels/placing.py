@@ -29,11 +29,9 @@ def sine_cosine(x: Lanes) -> tuple[Lanes, Lanes]:
 
 
 @inlined
-def place_joints(
-    dof: int, parent: Pointer, origin: Pointer, revolute: Pointer, joints: Pointer, frames: Pointer
-) -> None:
+def place_joints(dof: int, tree: Pointer, origin: Pointer, joints: Pointer, frames: Pointer) -> None:
     """Write to `frames` (dof + 1, 12, 16) the frames that move with each joint, after that of the base, at the
-    configurations `joints` (dof, 16). `parent`, `origin` and `revolute` as in `RobotArrays`.
+    configurations `joints` (dof, 16). `tree` and `origin` as in `RobotArrays`.
     """
     zero, one = splat(0.0), splat(1.0)
     xx, xy, xz = one, zero, zero
@@ -43,8 +41,8 @@ def place_joints(
     m = origin
     for k in range(-1, dof):
         if k >= 0:
-            if parent[k] != k - 1:
-                at = FRAME * (parent[k] + 1)
+            if tree[2 * k] != k - 1:
+                at = FRAME * (tree[2 * k] + 1)
                 xx, xy, xz = load(frames, at), load(frames, at + LANES), load(frames, at + 2 * LANES)
                 yx, yy, yz = load(frames, at + 3 * LANES), load(frames, at + 4 * LANES), load(frames, at + 5 * LANES)
                 zx, zy, zz = load(frames, at + 6 * LANES), load(frames, at + 7 * LANES), load(frames, at + 8 * LANES)
@@ -67,7 +65,7 @@ def place_joints(
                 m[f + 2] * xz + m[f + 6] * yz + m[f + 10] * zz,
             )
             q = load(joints, LANES * k)
-            if revolute[k] != 0:
+            if tree[2 * k + 1] != 0:
                 s, c = sine_cosine(q)
                 xx, xy, xz = c * ax + s * bx, c * ay + s * by, c * az + s * bz
                 yx, yy, yz = c * bx - s * ax, c * by - s * ay, c * bz - s * az

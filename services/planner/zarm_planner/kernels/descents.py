@@ -114,14 +114,14 @@ def descend_once(
         pointer(memory.normal),
     )
     e, left = pointer(memory.error), pointer(memory.left)
-    place_joints(dof, pointer(robot.parent), pointer(robot.origin), pointer(robot.revolute), joints, frames)
+    place_joints(dof, pointer(robot.tree), pointer(robot.origin), joints, frames)
     px, py, pz = _write_error(frames, dof, tip, target, e, left)
     damped = damping * (load(left, 0) + load(left, LANES)) + LEAST
     row = dof * LANES
     for k in range(dof):
         f, at = FRAME * (k + 1), k * LANES
         zx, zy, zz = load(frames, f + 6 * LANES), load(frames, f + 7 * LANES), load(frames, f + 8 * LANES)
-        if robot.revolute[k] != 0:
+        if robot.tree[k, 1] != 0:
             rx, ry, rz = (
                 px - load(frames, f + 9 * LANES),
                 py - load(frames, f + 10 * LANES),
@@ -163,7 +163,7 @@ def descend_once(
         q = load(joints, k * LANES)
         for i in range(6):
             q = q + load(jac, i * row + k * LANES) * load(e, i * LANES)
-        if robot.revolute[k] != 0 and upper[k] - lower[k] >= TURN:
+        if robot.tree[k, 1] != 0 and upper[k] - lower[k] >= TURN:
             outside = larger(q - upper[k], lower[k] - q)
             q = q - where_positive(outside, TURN * nearest((q - lower[k]) * (1.0 / TURN) - 0.5))
         store(joints, k * LANES, smaller(larger(q, splat(lower[k])), splat(upper[k])))

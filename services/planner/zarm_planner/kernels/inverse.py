@@ -47,13 +47,12 @@ to one turn 40, now 29; on other arms 9 to 11, as now.
 class Chain(NamedTuple):
     """The kinematics of a robot whose joints all move the tip.
 
-    `parent`, `origin` (dof, 3, 4) and `revolute` (dof,) as in `joint_frames`; `tip` (4, 4): the tip in the last joint's frame;
+    `tree` (dof, 2) and `origin` (dof, 3, 4) as in `joint_frames`; `tip` (4, 4): the tip in the last joint's frame;
     `lower` and `upper` (dof,): the joints' ranges in rad (m if prismatic).
     """
 
-    parent: Index
+    tree: Index
     origin: Array
-    revolute: NDArray[np.bool_]
     tip: Array
     lower: Array
     upper: Array
@@ -91,7 +90,7 @@ def make_work(dof: int) -> Work:
 @inlined
 def tip_pose(chain: Chain, q: Array, work: Work) -> None:
     """Write the frames of the joints at `q` (dof,) and the pose of the tip into `work`."""
-    joint_frames(chain.parent, chain.origin, chain.revolute, q, work.frames)
+    joint_frames(chain.tree, chain.origin, q, work.frames)
     last = q.shape[0] - 1
     for i in range(3):
         for j in range(4):
@@ -110,7 +109,7 @@ def tip_jacobian(chain: Chain, work: Work) -> None:
     for k in range(jac.shape[1]):
         f = work.frames[k]
         zx, zy, zz = f[0, 2], f[1, 2], f[2, 2]
-        if chain.revolute[k]:
+        if chain.tree[k, 1] != 0:
             rx, ry, rz = work.pose[0, 3] - f[0, 3], work.pose[1, 3] - f[1, 3], work.pose[2, 3] - f[2, 3]
             jac[0, k], jac[1, k], jac[2, k] = zy * rz - zz * ry, zz * rx - zx * rz, zx * ry - zy * rx
             jac[3, k], jac[4, k], jac[5, k] = zx, zy, zz
@@ -170,7 +169,7 @@ def step(chain: Chain, q: Array, damping: float, work: Work) -> None:
         for i in range(6):
             q[k] += jac[i, k] * e[i]
         outside = q[k] > chain.upper[k] or q[k] < chain.lower[k]
-        if outside and chain.revolute[k] and chain.upper[k] - chain.lower[k] >= TURN:
+        if outside and chain.tree[k, 1] != 0 and chain.upper[k] - chain.lower[k] >= TURN:
             q[k] -= TURN * math.floor((q[k] - chain.lower[k]) / TURN)
         q[k] = min(max(q[k], chain.lower[k]), chain.upper[k])
 
@@ -199,7 +198,7 @@ def descend(chain: Chain, target: Array, q: Array, work: Work) -> tuple[float, f
 def bring_near(chain: Chain, near: Array, q: Array) -> None:
     """Turn revolute joints by full turns to be as close to `near` (dof,) as their limits allow."""
     for k in range(q.shape[0]):
-        if chain.revolute[k]:
+        if chain.tree[k, 1] != 0:
             turns = round((near[k] - q[k]) / TURN)
             most = math.floor((chain.upper[k] - q[k]) / TURN)
             least = -math.floor((q[k] - chain.lower[k]) / TURN)

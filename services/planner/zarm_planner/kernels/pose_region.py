@@ -141,7 +141,7 @@ def measure(regions: Regions, q: Array, work: RegionWork) -> float:
     tolerance.
     """
     chain = regions.chain
-    joint_frames(chain.parent, chain.origin, chain.revolute, q, work.frames)
+    joint_frames(chain.tree, chain.origin, q, work.frames)
     worst = 0.0
     for region in range(regions.joint.shape[0]):
         place(regions, region, work)
@@ -182,7 +182,7 @@ def differentiate(regions: Regions, work: RegionWork) -> None:
             if k <= regions.joint[region]:
                 f = work.frames[k]
                 zx, zy, zz = f[0, 2], f[1, 2], f[2, 2]
-                if chain.revolute[k]:
+                if chain.tree[k, 1] != 0:
                     rx, ry, rz = work.pose[0, 3] - f[0, 3], work.pose[1, 3] - f[1, 3], work.pose[2, 3] - f[2, 3]
                     vx, vy, vz = zy * rz - zz * ry, zz * rx - zx * rz, zx * ry - zy * rx
                     ax, ay, az = phi[1] * zz - phi[2] * zy, phi[2] * zx - phi[0] * zz, phi[0] * zy - phi[1] * zx

@@ -80,7 +80,7 @@ NOTHING = World((), 0.0)
 
 def chain_of(model: RobotModel) -> Chain:
     """The kinematics of a robot with one tip in the kernels' form."""
-    return Chain(model.parent, model.origin, model.revolute, model.offset[-1], model.lower, model.upper)
+    return Chain(model.tree.table, model.origin, model.offset[-1], model.lower, model.upper)
 
 
 def with_turns(model: RobotModel, solutions: Array, near: Array, most: int) -> Array:

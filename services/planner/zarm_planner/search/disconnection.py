@@ -157,9 +157,8 @@ class _Grid:
         q[:, : self._count] = self._lower + (self._at(cells) + 0.5) * self._size
         moving = np.empty((len(cells), model.dof, 4, 4))
         frames(
-            model.parent,
+            model.tree.table,
             model.origin,
-            model.revolute,
             np.arange(model.dof, dtype=np.int32),
             np.repeat(np.eye(4)[None], model.dof, axis=0),
             q,
