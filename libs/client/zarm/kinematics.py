@@ -28,9 +28,9 @@ BATCH_SECONDS = 65.0
 class Kinematics(Calls):
     """Forward and inverse kinematics, and distances, as the planner computes them."""
 
-    def fk(self, joints: Rows, *, timeout: float = ANSWER_SECONDS) -> list[Pose]:
-        """The tip's pose at each row of joint positions (rad), up to 1000 of them."""
-        request = made(FkRequest, joints=rows(joints, "joints"))
+    def fk(self, joints: Rows, *, group: str | None = None, timeout: float = ANSWER_SECONDS) -> list[Pose]:
+        """The tip's pose at each row of the robot's joint positions (rad), up to 1000 of them; with a `group`, that of its tip."""
+        request = made(FkRequest, joints=rows(joints, "joints"), group=group)
         poses = self._ask(self._keys.fk, request, timeout=timeout).poses
         return [pose_of(pose) for pose in poses]
 
@@ -42,9 +42,11 @@ class Kinematics(Calls):
         max_solutions: int = 8,
         collision_free: bool = True,
         seed: int = 0,
+        group: str | None = None,
     ) -> list[tuple[float, ...]]:
         """Joint positions (rad) that reach a tip pose, nearest to `near` (default: measured) first. Empty if there are
-        none. The pose may be a `PoseGoal` with freedom."""
+        none. The pose may be a `PoseGoal` with freedom. With a `group` the pose is that of its tip, and the positions are those
+        of its joints; `near` is that of the whole robot."""
         free = pose if isinstance(pose, PoseGoal) else None
         request = made(
             IkRequest,
@@ -55,6 +57,7 @@ class Kinematics(Calls):
             max_solutions=max_solutions,
             collision_free=collision_free,
             seed=seed,
+            group=group,
         )
         return list(self.request_ik(request, timeout=ANSWER_SECONDS).solutions[0])
 

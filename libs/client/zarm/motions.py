@@ -228,12 +228,20 @@ class Offset(Checked, messages.Offset):
 
 class Move(Checked, messages.Move):
     """A segment of a program: a motion to any goal that `robot.plan` takes, on which it may touch the objects named in `touch`.
-    A `Line` with a `blend` (m) is left so far before its end for the line of the next segment, without stopping. `name` says in
-    answers which segment it is.
+    A `Line` with a `blend` (m) is left so far before its end for the line of the next segment, without stopping. Only the joints of a
+    `group` move. `name` says in answers which segment it is.
     """
 
-    def __init__(self, goal: Goal, *, blend: float = 0.0, touch: Iterable[str] = (), name: str | None = None) -> None:
-        super().__init__(kind="move", goal=goal_of(goal), blend=blend, touch=tuple(touch), name=name)
+    def __init__(
+        self,
+        goal: Goal,
+        *,
+        blend: float = 0.0,
+        touch: Iterable[str] = (),
+        group: str | None = None,
+        name: str | None = None,
+    ) -> None:
+        super().__init__(kind="move", goal=goal_of(goal), blend=blend, touch=tuple(touch), group=group, name=name)
 
 
 class Wait(Checked, messages.Wait):
@@ -253,10 +261,17 @@ class SpeedChange(Checked, messages.SpeedChange):
 
 
 class Attach(Checked, messages.Attach):
-    """A segment of a program: attach an object of the scene to the tip; it may touch `touch_links`."""
+    """A segment of a program: attach an object of the scene to the tip, or to a `link`; it may touch `touch_links`."""
 
-    def __init__(self, object: str, touch_links: Iterable[str] = (), *, name: str | None = None) -> None:  # noqa: A002
-        super().__init__(kind="attach", object=object, touch_links=tuple(touch_links), name=name)
+    def __init__(
+        self,
+        object: str,  # noqa: A002
+        touch_links: Iterable[str] = (),
+        *,
+        link: str | None = None,
+        name: str | None = None,
+    ) -> None:
+        super().__init__(kind="attach", object=object, touch_links=tuple(touch_links), link=link, name=name)
 
 
 class Detach(Checked, messages.Detach):
@@ -286,19 +301,24 @@ class Grip(Checked, messages.Grip):
         )
 
 
-Goal: TypeAlias = "messages.Pose | messages.PoseGoal | Waypoints | messages.CartesianGoal | Numbers"
-"""Where a motion leads: a pose of the tip, one with freedom, whichever of several is quickest to reach, joint positions (rad),
-waypoints; or a line, an arc or a path of the tip."""
+OneGoal: TypeAlias = "messages.Pose | messages.PoseGoal | Numbers"
+"""Where a motion leads: a pose of the tip, one with freedom, whichever of several is quickest to reach, or joint positions (rad)."""
+
+Goal: TypeAlias = "OneGoal | Waypoints | messages.CartesianGoal | messages.GroupsGoal | Mapping[str, OneGoal]"
+"""One of these; waypoints; a line, an arc or a path of the tip; or goals of several groups, by group."""
 
 
 def goal_of(goal: Goal) -> messages.Goal:
     """A goal as a message for the planner."""
-    if isinstance(goal, messages.WaypointsGoal | messages.CartesianGoal):
+    if isinstance(goal, messages.WaypointsGoal | messages.CartesianGoal | messages.GroupsGoal):
         return goal
+    if isinstance(goal, Mapping):
+        goals = tuple(made(messages.GroupGoal, group=group, goal=_stop(one)) for group, one in goal.items())
+        return made(messages.GroupsGoal, kind="groups", goals=goals)
     return _stop(goal)
 
 
-def _stop(goal: messages.Pose | messages.PoseGoal | Numbers) -> messages.PoseGoal | messages.JointGoal:
+def _stop(goal: OneGoal) -> messages.PoseGoal | messages.JointGoal:
     if isinstance(goal, messages.PoseGoal):
         return goal
     try:

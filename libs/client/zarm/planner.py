@@ -58,7 +58,8 @@ class PlanOptions(Settings, total=False):
     (above 0, up to 1) are fractions of the joint limits. `margin` (m) is the distance to objects on the way, and
     `self_margin` (m) the distance between the robot's own links, by default the descriptor's. With `optimize_s` 0, the
     same request, `seed` (default: 0) and scene give the same motion. `openings` (m) are those of grippers by name, by default the
-    measured ones.
+    measured ones. Only the joints of a `group` move: joint positions as a goal are then its own, and poses those of its
+    tip; `start` is always that of the whole robot.
     """
 
     start: Numbers | StartState | None
@@ -66,6 +67,7 @@ class PlanOptions(Settings, total=False):
     self_margin: float | None
     seed: int
     openings: Mapping[str, float] | None
+    group: str | None
 
 
 class Planner(Kinematics):
@@ -75,8 +77,10 @@ class Planner(Kinematics):
         """A verified motion to a `zarm.Pose`, to joint positions (rad), to one of several poses (`zarm.AnyOf`), or
         through `zarm.Waypoints`. Nothing moves.
 
+        A robot with several arms moves them together to `{"left": pose, "right": pose}`, and one of them with `group`.
+
         `options` are `start`, `path_constraint`, `planner`, `timeout`, `max_attempts`, `optimize_s`, `velocity_scale`,
-        `acceleration_scale`, `margin`, `self_margin`, `seed` and `openings`: see `zarm.PlanOptions`.
+        `acceleration_scale`, `margin`, `self_margin`, `seed`, `openings` and `group`: see `zarm.PlanOptions`.
 
         Ctrl-C ends the planning. Raises PlanningFailed, DeadlineExceeded or InvalidRequest.
         """

@@ -101,9 +101,9 @@ class Robot(Calls):
     pick = _short(_grasping, Grasping.pick)
     place = _short(_grasping, Grasping.place)
 
-    def tip(self) -> Pose:
-        """The present pose of the tip."""
-        return self.fk([self.joint_state().position])[0]
+    def tip(self, group: str | None = None) -> Pose:
+        """The present pose of the tip; with a `group`, that of its tip."""
+        return self.fk([self.joint_state().position], group=group)[0]
 
     def health(self, service: str, *, timeout: float = ANSWER_SECONDS) -> Health:
         """The health of a service: `planner`, `executor`, ..."""

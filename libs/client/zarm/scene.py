@@ -61,13 +61,16 @@ class Scene:
         """Remove every object. Attached objects and ignored links stay."""
         return self._edit(op="clear")
 
-    def attach(self, name: str, *, touch_links: Iterable[str] = (), joints: Numbers | None = None) -> SceneEdited:
-        """Attach an object of the scene to the tip; it keeps its pose relative to the tip at `joints`.
+    def attach(
+        self, name: str, *, touch_links: Iterable[str] = (), joints: Numbers | None = None, link: str | None = None
+    ) -> SceneEdited:
+        """Attach an object of the scene to the tip, or to a `link`; it keeps its pose relative to that at `joints`.
 
         `joints` (rad) are by default the measured ones. The object may touch `touch_links`, such as a gripper's
         fingers. A mesh or voxel object is attached as at most 32 cuboids that contain it.
         """
-        return self._edit(op="attach", name=name, touch_links=tuple(touch_links), joints=joints_of(joints, "joints"))
+        touch, at = tuple(touch_links), joints_of(joints, "joints")
+        return self._edit(op="attach", name=name, touch_links=touch, joints=at, link=link)
 
     def detach(self, name: str, *, joints: Numbers | None = None) -> SceneEdited:
         """Detach an object and leave it where it is with the robot at `joints` (rad; default: the measured ones)."""
@@ -150,7 +153,7 @@ class Scene:
         return {item.name: object_of(item) for item in self.read().objects}
 
     def attached(self) -> Mapping[str, Attached]:
-        """The attached objects by name; their poses are in the frame of the tip."""
+        """The attached objects by name; their poses are in the frame of the tip, or of their `link`."""
         return {carried.object.name: carried for carried in self.read().attached}
 
     def read(self) -> SceneMessage:

@@ -102,12 +102,16 @@ def _urdf_text(composition: Composition, robots: Mapping[str, RobotDescription],
     root = ET.Element("robot", name=composition.name)
     root.append(ET.Comment(f" Made by zarm robot compose from {source.name}. "))
     ET.SubElement(root, "link", name=composition.base_link)
+    taken = {_named(name, joint.name) for name, robot in robots.items() for joint in robot.urdf.joint_of_child.values()}
     for name, part in composition.parts.items():
         robot = robots[name]
         carrier = composition.base_link
         if part.on is not None:
             carrier = _named(part.on, robots[part.on].descriptor.tip_link)
-        mount = ET.SubElement(root, "joint", name=f"{name}_mount", type="fixed")
+        mounting = f"{name}_mount"
+        while mounting in taken:
+            mounting += "_"
+        mount = ET.SubElement(root, "joint", name=mounting, type="fixed")
         ET.SubElement(mount, "parent", link=carrier)
         ET.SubElement(mount, "child", link=_named(name, robot.descriptor.base_link))
         ET.SubElement(mount, "origin", xyz=_numbers(part.xyz), rpy=_numbers(part.rpy))

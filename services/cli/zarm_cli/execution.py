@@ -19,6 +19,7 @@ from zarm_cli.goals import (
     Blend,
     Center,
     Free,
+    Group,
     JointsGoal,
     Orienting,
     RotationalSpeed,
@@ -58,6 +59,7 @@ def execute(
     rotational_speed: RotationalSpeed = None,
     orienting: Orienting = None,
     joints_goal: JointsGoal = None,
+    group: Group = None,
     plan: Annotated[Path | None, typer.Option(help="A plan saved by `zarm plan --save`.")] = None,
     plan_id: Annotated[str | None, typer.Option(help="Id of a plan published on this bus.")] = None,
     velocity_scale: VelocityScale = None,
@@ -86,14 +88,17 @@ def execute(
     goal = typed_goal(to, joints_goal, any_of, freedom, curve) if typed else None
     if [plan, plan_id, goal].count(None) < 2:
         raise typer.BadParameter("give one of them at most", param_hint="--plan / --plan-id / --to / --joints")
-    if velocity_scale is not None and goal is None:
-        raise typer.BadParameter("belongs to --to or --joints", param_hint="--velocity-scale")
+    for given, hint in ((velocity_scale, "--velocity-scale"), (group, "--group")):
+        if given is not None and goal is None:
+            raise typer.BadParameter("belongs to --to or --joints", param_hint=hint)
     request = message(ExecuteRequest, plan_id=plan_id) if plan is None else _saved(plan)
     with connected(connect, name) as robot:
         if goal is not None:
             if preempt:
                 _bring_to_rest(robot)
-            request = ExecuteRequest(plan_id=request_plan(robot, goal, velocity_scale=velocity_scale).plan_id)
+            request = ExecuteRequest(
+                plan_id=request_plan(robot, goal, group=group, velocity_scale=velocity_scale).plan_id
+            )
         last = run_goal(robot, request, preempt=preempt, replan=replan)
     if as_json:
         print_json(last)

@@ -19,7 +19,8 @@ To = Annotated[
     typer.Option(
         metavar="X,Y,Z[,QX,QY,QZ,QW]",
         help="Pose of the tip in the base frame (m). Without an orientation the tip keeps its own. "
-        "Given several times: one motion through all of them in this order, without stopping.",
+        "Given several times: one motion through all of them in this order, without stopping. "
+        "With GROUP= in front, a pose for each group: both arms move together.",
     ),
 ]
 AnyOf = Annotated[bool, typer.Option("--any", help="Of several --to, go to the one that takes the least time.")]
@@ -60,6 +61,9 @@ RotationalSpeed = Annotated[float | None, typer.Option(help="Speed at which the 
 Orienting = Annotated[
     Literal["interpolated", "fixed", "tangent"] | None,
     typer.Option(help="How the tip turns along a line, an arc or a path (default: interpolated)."),
+]
+Group = Annotated[
+    str | None, typer.Option(help="Joint group that moves, of a robot with several arms; the other joints stand.")
 ]
 JointsGoal = Annotated[
     str | None, typer.Option("--joints", metavar="A,B,C,...", help="Joint positions (rad), in the descriptor's order.")
@@ -141,7 +145,8 @@ def typed_curve(
 class TypedGoal:
     """A typed goal: joints (rad), or tip poses whose orientation is optional.
 
-    With `any_of` the motion goes to one of the poses, otherwise through all; with a `curve` along that.
+    With `any_of` the motion goes to one of the poses, otherwise through all; with a `curve` along that. `groups` are those of
+    the poses, if each is for a group of its own.
     """
 
     joints: list[float] | None
@@ -149,6 +154,7 @@ class TypedGoal:
     any_of: bool
     freedom: Freedom
     curve: Curve | None = None
+    groups: tuple[str, ...] = ()
 
 
 def typed_goal(
@@ -163,33 +169,53 @@ def typed_goal(
         raise typer.BadParameter("belong to --to", param_hint="--free / --tolerance / --tip")
     if curve is not None and (any_of or not to):
         raise typer.BadParameter("belong to --to without --any", param_hint="--line / --spline / --via / --center")
-    poses = [floats(pose, "--to", 3, 7) for pose in to or []]
-    return TypedGoal(joints(joints_goal, "--joints"), poses, any_of, freedom, curve)
+    groups = tuple(pose.partition("=")[0] for pose in to or () if "=" in pose)
+    if groups and (any_of or curve is not None or len(groups) != len(to or ())):
+        raise typer.BadParameter("with a group in front of one, every pose has its own", param_hint="--to")
+    poses = [floats(pose.rpartition("=")[2], "--to", 3, 7) for pose in to or []]
+    return TypedGoal(joints(joints_goal, "--joints"), poses, any_of, freedom, curve, groups)
 
 
-def goal_fields(robot: Robot, typed: TypedGoal, start: list[float] | None) -> dict[str, object]:
-    """The fields of a goal's message. Raises InvalidRequest for freedom that a curve does not allow."""
+def goal_fields(robot: Robot, typed: TypedGoal, start: list[float] | None, group: str | None) -> dict[str, object]:
+    """The fields of the message of a goal, of a `group` or of the robot. Raises InvalidRequest for freedom that a curve does
+    not allow.
+    """
     if typed.joints is not None:
         return {"kind": "joints", "position": typed.joints}
     freedom = typed.freedom
     if typed.curve is not None:
         return _along(typed.curve, typed.poses, freedom)
-    poses = [full_pose(robot, pose, start, oriented=freedom.needs_orientation) for pose in typed.poses]
+    tips = typed.groups or (group,) * len(typed.poses)
+    poses = [
+        full_pose(robot, pose, start, oriented=freedom.needs_orientation, group=tip)
+        for pose, tip in zip(typed.poses, tips, strict=True)
+    ]
+    if typed.groups:
+        goals = zip(typed.groups, poses, strict=True)
+        return {
+            "kind": "groups",
+            "goals": [{"group": one, "goal": {"kind": "pose", **pose, **freedom.fields}} for one, pose in goals],
+        }
     if typed.any_of or len(poses) == 1:
         return {"kind": "pose", **poses[0], "alternatives": poses[1:], **freedom.fields}
     return {"kind": "waypoints", "through": [{"kind": "pose", **pose, **freedom.fields} for pose in poses]}
 
 
 def full_pose(
-    robot: Robot, typed: list[float], at: list[float] | None = None, *, oriented: bool = True
+    robot: Robot,
+    typed: list[float],
+    at: list[float] | None = None,
+    *,
+    oriented: bool = True,
+    group: str | None = None,
 ) -> dict[str, list[float]]:
-    """Position and orientation of a typed pose; by default the orientation is the tip's at the joints `at`, or
+    """Position and orientation of a typed pose; by default the orientation is the tip's, of the `group`, at the joints `at`, or
     measured, if it is to be `oriented` at all.
     """
     if len(typed) == 3 and not oriented:
         typed = [*typed, *IDENTITY]
     if len(typed) == 3:
-        typed = [*typed, *(robot.tip() if at is None else robot.fk([at])[0]).orientation]
+        typed = [*typed, *(robot.tip(group) if at is None else robot.fk([at], group=group)[0]).orientation]
     return {"position": typed[:3], "orientation": typed[3:]}
 
 

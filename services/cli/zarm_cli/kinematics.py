@@ -8,7 +8,7 @@ import typer
 
 from zarm.connection import ANSWER_SECONDS
 from zarm_cli.client import AsJson, Connect, Name, connected, floats, joints, message
-from zarm_cli.goals import Free, Tip, Tolerance, ToleranceFrame, full_pose, typed_freedom
+from zarm_cli.goals import Free, Group, Tip, Tolerance, ToleranceFrame, full_pose, typed_freedom
 from zarm_cli.output import degrees, facts, numbers, out, pose_text, print_json
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import CheckResults, FkPoses, IkRequest
@@ -20,11 +20,17 @@ At = Annotated[
 ]
 
 
-def fk(at: At = None, as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
+def fk(
+    at: At = None,
+    group: Group = None,
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
     """Forward kinematics: the tip pose at these joint positions."""
     where = joints(at, "--joints")
     with connected(connect, name) as robot:
-        poses = FkPoses(poses=tuple(robot.fk([where or robot.joint_state().position])))
+        poses = FkPoses(poses=tuple(robot.fk([where or robot.joint_state().position], group=group)))
     if as_json:
         print_json(poses)
     else:
@@ -43,6 +49,7 @@ def ik(
     tolerance: Tolerance = None,
     tolerance_frame: ToleranceFrame = None,
     tip: Tip = None,
+    group: Group = None,
     near: Annotated[
         str | None,
         typer.Option(metavar="A,B,C,...", help="Joint positions to sort the solutions by (rad; default: measured)."),
@@ -59,8 +66,9 @@ def ik(
     with connected(connect, name) as robot:
         request = message(
             IkRequest,
-            poses=[full_pose(robot, pose, oriented=freedom.needs_orientation)],
+            poses=[full_pose(robot, pose, oriented=freedom.needs_orientation, group=group)],
             **freedom.fields,
+            group=group,
             near=at,
             max_solutions=max_solutions,
             collision_free=not colliding,

@@ -17,6 +17,7 @@ from zarm_cli.goals import (
     Blend,
     Center,
     Free,
+    Group,
     JointsGoal,
     Orienting,
     RotationalSpeed,
@@ -62,6 +63,7 @@ def plan(
     rotational_speed: RotationalSpeed = None,
     orienting: Orienting = None,
     joints_goal: JointsGoal = None,
+    group: Group = None,
     start: Annotated[
         str | None,
         typer.Option(metavar="A,B,C,...", help="Joint positions at the start (default: measured)."),
@@ -107,6 +109,7 @@ def plan(
         found = request_plan(
             robot,
             goal,
+            group=group,
             start=at,
             path_constraint=constraint,
             timeout=timeout,
@@ -137,13 +140,21 @@ def _constraint(axes: str | None, frame: str | None) -> dict[str, object] | None
     return {"axes": [axis in names for axis in AXES], "frame": frame or "base"}
 
 
-def request_plan(robot: Robot, goal: TypedGoal, *, start: list[float] | None = None, **asked: object) -> Plan:
-    """Request a plan; `asked` are further fields of PlanRequest, without those that are None. Ctrl-C cancels the
+def request_plan(
+    robot: Robot,
+    goal: TypedGoal,
+    *,
+    group: str | None = None,
+    start: list[float] | None = None,
+    **asked: object,
+) -> Plan:
+    """Request a plan of a `group`, or of the robot; `asked` are further fields of PlanRequest, without those that are None. Ctrl-C cancels the
     planning too.
 
     Raises the planner's error.
     """
-    return robot.request_plan(message(PlanRequest, goal=goal_fields(robot, goal, start), start=start, **asked))
+    fields = goal_fields(robot, goal, start, group)
+    return robot.request_plan(message(PlanRequest, goal=fields, group=group, start=start, **asked))
 
 
 def plan_table(found: Plan) -> Table:

@@ -50,7 +50,7 @@ def show(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Nam
     out.print(table if table.rows else "the scene is empty")
     for carried in scene.attached:
         touches = f"; it may touch {', '.join(carried.touch_links)}" if carried.touch_links else ""
-        out.print(f"the robot carries {carried.object.name}, placed from its tip{touches}")
+        out.print(f"the robot carries {carried.object.name}, placed from {carried.link or 'its tip'}{touches}")
     if scene.ignored_objects:
         out.print(f"objects whose collisions are ignored: {', '.join(scene.ignored_objects)}")
     if scene.ignored_links:
@@ -169,13 +169,14 @@ def attach(
         list[str] | None, typer.Option(metavar="LINK", help="A link that the object may touch; repeatable.")
     ] = None,
     at: At = None,
+    link: Annotated[str | None, typer.Option(help="The link that carries it (default: the tip).")] = None,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
     """Attach an object to the tip: `zarm scene attach box --touch link_5`."""
     where = joints(at, "--joints")
-    _edit(connect, name, as_json, op="attach", name=object_name, touch_links=touch or [], joints=where)
+    _edit(connect, name, as_json, op="attach", name=object_name, touch_links=touch or [], joints=where, link=link)
 
 
 @app.command()

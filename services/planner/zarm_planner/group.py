@@ -116,7 +116,7 @@ def check_one_tip(robot: RobotDescription, field: str) -> None:
         robot.group_joints(name) == robot.descriptor.joints and not groups[name].groups for name in groups
     ):
         names = ", ".join(name for name, group in groups.items() if not group.groups)
-        raise InvalidRequest(f"whose tip? name one of the groups {names}", field=field)
+        raise InvalidRequest(f"the robot has several tips; name one of the groups {names}", field=field)
 
 
 def _poses_in(goal: Goal) -> bool:

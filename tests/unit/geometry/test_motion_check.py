@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from support.composed import torso_with_arms
 from support.examples import examples
 from support.planner.small_arm import small_arm
 from zarm_contract.errors import InvalidRequest
@@ -37,10 +38,12 @@ BETWEEN = 0.001
 
 @cache
 def model(name: str) -> RobotModel:
-    if name != "small_arm":
+    if name not in ("small_arm", "torso_arms"):
         return RobotModel.of(load_robot(name))
     with tempfile.TemporaryDirectory() as folder:
-        return RobotModel.of(small_arm(Path(folder)))
+        if name == "small_arm":
+            return RobotModel.of(small_arm(Path(folder)))
+        return RobotModel.of(load_robot(str(torso_with_arms(Path(folder)))))
 
 
 def swing(robot: RobotModel, rng: np.random.Generator) -> tuple[Callable[[Array], Array], Array, float]:
@@ -79,7 +82,7 @@ def thing(rng: np.random.Generator, index: int) -> SceneObject:
 
 
 @pytest.mark.lengthy
-@pytest.mark.parametrize("robot", ["doosan_m1013", "panda", "ur5e", "small_arm"])
+@pytest.mark.parametrize("robot", ["doosan_m1013", "panda", "ur5e", "small_arm", "torso_arms"])
 @examples(1.0)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_what_is_called_free_keeps_the_margin_by_a_dense_exact_check(robot: str, seed: int) -> None:

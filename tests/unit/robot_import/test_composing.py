@@ -1,0 +1,101 @@
+"""Several robots become one: their names, their places, their grippers, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from support.composed import TORSO, TWO_PANDAS, composed, torso_with_arms, two_pandas
+from support.planner.small_arm import small_arm
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.robot import load_robot
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.frames import matrix
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_robot_import.checking import findings
+
+
+def test_two_arms_stand_where_the_file_says(tmp_path: Path) -> None:
+    both, one = RobotModel.of(load_robot(str(two_pandas(tmp_path)))), RobotModel.of(load_robot("panda"))
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        q = rng.uniform(both.lower, both.upper)
+        for name, joints, y in (("left", q[:7], 0.3), ("right", q[7:], -0.3)):
+            for link in ("panda_link0", "panda_link4", "panda_hand", "panda_grasptarget"):
+                there = both.fk_link(f"{name}_{link}", q)
+                assert np.allclose(there, matrix((0.0, y, 0.0)) @ one.fk_link(link, joints), atol=1e-9)
+
+
+def test_an_arm_on_another_moves_with_its_tip(tmp_path: Path) -> None:
+    whole, arm = RobotModel.of(load_robot(str(torso_with_arms(tmp_path)))), RobotModel.of(small_arm(tmp_path))
+    q = np.array(whole.robot.descriptor.home) + 0.1
+    c, s = np.cos(0.6), np.sin(0.6)
+    mount = np.array([[c, 0, s, 0], [0, 1, 0, 0.4], [-s, 0, c, 0.15], [0, 0, 0, 1]])
+    there = arm.fk_tip(q[:4]) @ mount @ arm.fk_tip(q[4:8])
+    assert np.allclose(whole.fk_link("left_rod", q), there, atol=1e-9)
+
+
+def test_the_distance_of_both_arms_is_that_of_each_beside_the_other(tmp_path: Path) -> None:
+    both = RobotModel.of(load_robot(str(two_pandas(tmp_path))))
+    exact, empty = ExactScene(both, World((), 0.0)), World((), 0.0)
+    rng, apart = np.random.default_rng(1), 0
+    for _ in range(60):
+        q = rng.uniform(both.lower, both.upper)
+        each = [
+            ExactScene(both.group((name,), q), empty).nearest(q[joints]).distance
+            for name, joints in (("left", slice(7)), ("right", slice(7, 14)))
+        ]
+        whole = exact.nearest(q).distance
+        assert (whole > 0.0) == (min(each) > 0.0)
+        if whole > 0.0:
+            apart += 1
+            assert whole == pytest.approx(min(each), abs=1e-5)
+    assert apart > 5
+
+
+def test_each_arm_keeps_its_gripper(tmp_path: Path) -> None:
+    robot = load_robot(str(two_pandas(tmp_path)))
+    assert robot.gripper_positions({"left_hand": 0.02})["left_panda_finger_joint2"] == 0.01
+    assert robot.gripper_positions({"left_hand": 0.02})["right_panda_finger_joint1"] == 0.04
+
+
+def test_the_check_finds_nothing_wrong_with_a_composition(tmp_path: Path) -> None:
+    assert findings(load_robot(str(two_pandas(tmp_path)))) == []
+
+
+def test_arms_that_stand_in_each_other_are_found(tmp_path: Path) -> None:
+    file = composed(tmp_path, TWO_PANDAS.replace("-0.3", "0.25"))
+    assert any(fault.startswith("home: ") for fault in findings(load_robot(str(file))))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "fault"),
+    [
+        (
+            "on: torso, xyz: [0.0, 0.4",
+            "on: right, xyz: [0.0, 0.4",
+            r"parts.left.on: right is not a part that comes before",
+        ),
+        ("{robot: small_arm.yaml}", "{robot: giant}", r"parts.torso.robot: unknown robot 'giant'"),
+        ("{robot: small_arm.yaml}", "{robot: small_arm.yaml, size: 2}", r"parts.torso.size: Extra inputs"),
+        (
+            "{robot: small_arm.yaml}",
+            "{robot: small_arm.yaml, on: left}",
+            r"parts.torso.on: left is not .* it is the first one; leave `on` out",
+        ),
+    ],
+)
+def test_a_fault_names_the_line_of_the_composition(tmp_path: Path, before: str, after: str, fault: str) -> None:
+    small_arm(tmp_path)
+    assert before in TORSO
+    with pytest.raises(InvalidRequest, match=rf"composition.yaml:\d+: {fault}"):
+        composed(tmp_path, TORSO.replace(before, after, 1))
+
+
+def test_a_robot_that_is_there_already_is_kept(tmp_path: Path) -> None:
+    two_pandas(tmp_path)
+    with pytest.raises(InvalidRequest, match="is there already; --overwrite replaces it"):
+        two_pandas(tmp_path)
