@@ -21,6 +21,7 @@ from zarm_cli.commands import command_line
 from zarm_contract import messages as every_message
 from zarm_contract.errors import MEANINGS, Problem, ZarmError
 from zarm_contract.gripper import Gripper
+from zarm_contract.group import JointGroup
 from zarm_contract.key import Key, Token
 from zarm_contract.keys import declared
 from zarm_contract.messages import (
@@ -175,6 +176,7 @@ _SECTIONS = {
     "ExecutionSettings": "execution",
     "StrategyParams": "strategy_params",
     "Gripper": "gripper",
+    "JointGroup": "group",
     "CollisionSphere": "collision sphere",
     "CollisionCapsule": "collision capsule",
     "CollisionCylinder": "collision cylinder",
@@ -364,6 +366,7 @@ def robot() -> Iterator[str]:
         CollisionCylinder,
         CollisionCuboid,
         Gripper,
+        JointGroup,
     )
     for model in (RobotDescriptor, *parts):
         if model is not RobotDescriptor:

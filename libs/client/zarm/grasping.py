@@ -46,6 +46,7 @@ class Grasping(Calls):
         approach: float = _APPROACH,
         lift: float = _APPROACH,
         touch: Iterable[str] = (),
+        group: str | None = None,
     ) -> GripperState:
         """Grasp the object `item` of the scene, attach it to the robot and lift it. Returns the state of the gripper.
 
@@ -53,7 +54,7 @@ class Grasping(Calls):
         reach (the last `approach` m straight along the tool's z, with the gripper open, or `open_to` m), close, attach, and lift (`lift`
         m straight up). The gripper closes until something stops the fingers, or to `width` (m), with at most `force` (N). The
         object, which may touch fingers and palm from then on, and what it rests on may be touched on the way, and objects named in
-        `touch`.
+        `touch`. Of a robot with several arms name the `group`, and the `gripper` that it carries.
 
         Each motion is verified before it starts, and the way there before the fingers move. Raises the error of the step that
         fails, which the message names, and ExecutionFailed if the fingers close on nothing; then the robot stands where that step
@@ -68,15 +69,16 @@ class Grasping(Calls):
             if goal.approach is None:
                 goal = goal.model_copy(update={"approach": Offset(approach, (0.0, 0.0, 1.0), touch=allowed)})
             openings = self._opening(gripper, open_to)
-            plan = self._planner.plan(goal, openings=openings)
+            plan = self._planner.plan(goal, openings=openings, group=group)
             self._open(openings)
             self._executor.execute(plan)
         with self._step("close", item):
             held = self._close(gripper, width, force)
         with self._step("attach", item):
-            self._scene.attach(item, touch_links=held.touch_links)
+            link = held.touch_links[-1] if group is not None else None
+            self._scene.attach(item, touch_links=held.touch_links, link=link)
         with self._step("lift", item):
-            self._rise((0.0, 0.0, lift), (*touch, *self._beneath(item)))
+            self._rise(group, (0.0, 0.0, lift), (*touch, *self._beneath(item)))
         return held
 
     def place(
@@ -90,13 +92,14 @@ class Grasping(Calls):
         retreat: float = _APPROACH,
         upright: bool = False,
         touch: Iterable[str] = (),
+        group: str | None = None,
     ) -> GripperState:
         """Put the object `item`, by default the only one that is attached, down with the tip at `goal`, and go back. Returns the state
         of the gripper.
 
         `goal` is as in `pick`. The steps are carry (to `approach` m above the goal; with `upright` the tip keeps its tilt on the
         way), lower, open (to `open_to` m, by default as far as it goes), detach, and retreat (`retreat` m back along the tool's z).
-        Objects named in `touch`, such as what it is put on, may be touched while it is lowered.
+        Objects named in `touch`, such as what it is put on, may be touched while it is lowered. `group` is as in `pick`.
 
         Each motion is verified before it starts, and the way back before the fingers open. Raises the error of the step that fails,
         which the message names; then the robot stands where that step began or ended.
@@ -113,17 +116,18 @@ class Grasping(Calls):
         with self._step("carry", name):
             above = _raised(_pose_goal(goal, "goal"), approach)
             constraint = PathConstraint(("theta_x", "theta_y")) if upright else None
-            self._executor.execute(self._planner.plan(above, path_constraint=constraint))
+            self._executor.execute(self._planner.plan(above, path_constraint=constraint, group=group))
         with self._step("lower", name):
-            self._rise((0.0, 0.0, -approach), allowed)
+            self._rise(group, (0.0, 0.0, -approach), allowed)
         with self._step("open", name):
             openings = self._opening(gripper, open_to)
-            self._line((0.0, 0.0, -retreat), (*allowed, *self._beneath(name)), frame="tool", openings=openings)
+            touched = (*allowed, *self._beneath(name))
+            self._line(group, (0.0, 0.0, -retreat), touched, frame="tool", openings=openings)
             state = self._open(openings)
         with self._step("detach", name):
             self._scene.detach(name)
         with self._step("retreat", name):
-            self._rise((0.0, 0.0, -retreat), (name, *allowed), frame="tool")
+            self._rise(group, (0.0, 0.0, -retreat), (name, *allowed), frame="tool")
         return state
 
     def _opening(self, gripper: str | None, width: float | None) -> dict[str, float]:
@@ -156,21 +160,24 @@ class Grasping(Calls):
         (other,) = set(found.pair) - {item}
         return (other,) if other in self._scene.objects() else ()
 
-    def _rise(self, offset: messages.Vector3, touch: tuple[str, ...], frame: str = "base") -> None:
+    def _rise(
+        self, group: str | None, offset: messages.Vector3, touch: tuple[str, ...], frame: str = "base"
+    ) -> None:
         """Move straight by an offset (m) in the frame of the base, or of the tool."""
-        self._executor.execute(self._line(offset, touch, frame))
+        self._executor.execute(self._line(group, offset, touch, frame))
 
     def _line(
         self,
+        group: str | None,
         offset: messages.Vector3,
         touch: tuple[str, ...],
         frame: str = "base",
         openings: Mapping[str, float] | None = None,
     ) -> messages.Plan:
-        tip = self._planner.fk([self._executor.joint_state().position])[0]
+        tip = self._planner.fk([self._executor.joint_state().position], group=group)[0]
         along = _turned(tip.orientation, offset) if frame == "tool" else offset
         moved = Pose(_sum(tip.position, along), tip.orientation)
-        return self._planner.plan_program([Move(Line(moved), touch=touch)], openings=openings)
+        return self._planner.plan_program([Move(Line(moved), touch=touch, group=group)], openings=openings)
 
     @contextmanager
     def _step(self, step: str, item: str) -> Iterator[None]:
