@@ -160,9 +160,7 @@ class Grasping(Calls):
         (other,) = set(found.pair) - {item}
         return (other,) if other in self._scene.objects() else ()
 
-    def _rise(
-        self, group: str | None, offset: messages.Vector3, touch: tuple[str, ...], frame: str = "base"
-    ) -> None:
+    def _rise(self, group: str | None, offset: messages.Vector3, touch: tuple[str, ...], frame: str = "base") -> None:
         """Move straight by an offset (m) in the frame of the base, or of the tool."""
         self._executor.execute(self._line(group, offset, touch, frame))
 

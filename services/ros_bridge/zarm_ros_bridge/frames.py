@@ -137,7 +137,8 @@ class Frames:
                 return placed(item)
         for attached in scene.attached:
             if attached.object.name == name:
-                return self.links_at()[self._engine.robot.descriptor.tip_link] @ placed(attached)
+                link = attached.link or self._engine.robot.descriptor.tip_link
+                return self.links_at()[link] @ placed(attached)
         return None
 
     def _put(self, message: Any, *, fixed: bool) -> None:

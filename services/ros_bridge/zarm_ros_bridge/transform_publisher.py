@@ -129,7 +129,7 @@ class TransformPublisher:
         items: list[tuple[str, str, NDArray[Any]]] = [
             (robot.base_link, item.name, placed(item)) for item in scene.objects[:MOST_OBJECTS]
         ]
-        items += [(robot.tip_link, one.object.name, placed(one)) for one in scene.attached]
+        items += [(one.link or robot.tip_link, one.object.name, placed(one)) for one in scene.attached]
         return [_transform(parent, name, pose_of(pose), stamp) for parent, name, pose in items]
 
 

@@ -46,7 +46,7 @@ class Picture:
         self.arm = Arm(scene, f"{panels.root}/robot", robot, body, MEASURED, 1.0)
         self._ghost = Ghost(lambda: Arm(scene, f"{panels.root}/ghost", robot, body, GHOST, 0.35))
         scene.add_frame(f"{self.arm.tip}/tip_axes", axes_length=0.12, axes_radius=0.004)
-        self.scene = SceneView(panels, self.arm.tip, meshes)
+        self.scene = SceneView(panels, self.arm.nodes, self.arm.tip, meshes)
         self._trail: deque[Array] = deque(maxlen=TRAIL_POINTS)
         self._preview: Array | None = None
         self._widths: dict[str, float] = {}

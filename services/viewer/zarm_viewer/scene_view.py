@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +19,10 @@ OBJECT, CARRIED = (120, 144, 176), (230, 160, 60)
 
 
 class SceneView:
-    """Draws the changes from one scene to the next. `tip` is the node that carries attached objects."""
+    """Draws the changes from one scene to the next. `nodes` are those of the links, which carry attached objects; `tip` is one of them."""
 
-    def __init__(self, panels: PanelContext, tip: str, meshes: tuple[Path, ...]) -> None:
-        self._panels, self._tip, self._meshes = panels, tip, meshes
+    def __init__(self, panels: PanelContext, nodes: Mapping[str, str], tip: str, meshes: tuple[Path, ...]) -> None:
+        self._panels, self._nodes, self._tip, self._meshes = panels, nodes, tip, meshes
         self._drawn: dict[str, tuple[SceneObject, SceneNodeHandle | None]] = {}
 
     def draw(self, scene: Scene) -> None:
@@ -30,7 +31,8 @@ class SceneView:
         for item in scene.objects:
             wanted[f"{self._panels.root}/scene/{item.name}"] = item.name, item, False
         for carried in scene.attached:
-            wanted[f"{self._tip}/carried_{carried.object.name}"] = carried.object.name, carried.object, True
+            carrier = self._tip if carried.link is None else self._nodes[carried.link]
+            wanted[f"{carrier}/carried_{carried.object.name}"] = carried.object.name, carried.object, True
         for node in [node for node, (item, _) in self._drawn.items() if node not in wanted or wanted[node][1] != item]:
             _, handle = self._drawn.pop(node)
             if handle is not None:

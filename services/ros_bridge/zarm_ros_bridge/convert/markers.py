@@ -21,12 +21,12 @@ SPHERE: Colour = (0.2, 0.5, 0.9, 0.35)
 
 
 def obstacle_markers(scene: Scene, base_link: str, tip_link: str, colours: Mapping[str, Colour]) -> MarkerArray:
-    """Everything in the scene, replacing what was shown before; attached objects move with the tip."""
+    """Everything in the scene, replacing what was shown before; attached objects move with the tip, or their link."""
     markers = [Marker(action=Marker.DELETEALL)]
     for item in scene.objects:
         markers += _object(item, base_link, colours.get(item.name, OBSTACLE))
     for attached in scene.attached:
-        markers += _object(attached.object, tip_link, colours.get(attached.object.name, CARRIED))
+        markers += _object(attached.object, attached.link or tip_link, colours.get(attached.object.name, CARRIED))
     return MarkerArray(markers=markers)
 
 

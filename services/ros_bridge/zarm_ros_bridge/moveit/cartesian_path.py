@@ -19,10 +19,11 @@ from zarm_ros_bridge.convert.joints import known_as
 from zarm_ros_bridge.convert.poses import pose_of as ros_pose_of
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
+from zarm_ros_bridge.moveit.arm_groups import ArmGroups
 from zarm_ros_bridge.moveit.constraint_set import ConstraintSet
 from zarm_ros_bridge.moveit.curves import Speeds
 from zarm_ros_bridge.moveit.error_codes import Refusal
-from zarm_ros_bridge.moveit.requests import Scales, check_group
+from zarm_ros_bridge.moveit.requests import Scales
 from zarm_ros_bridge.moveit.states import start_of
 from zarm_ros_bridge.transforms import between
 
@@ -38,17 +39,17 @@ _TRIES = 5
 class CartesianPaths:
     """Plans such paths. Thread-safe."""
 
-    def __init__(self, engine: Engine, frames: Frames, group: str) -> None:
+    def __init__(self, engine: Engine, frames: Frames, groups: ArmGroups) -> None:
         self._engine = engine
         self._frames = frames
-        self._group = group
+        self._groups = groups
 
     def plan(self, request: Any, ask: Callable[[PlanRequest], Plan]) -> tuple[Plan | None, float]:
         """The plan along the path of a request, or along its first part, and the share (0..1) that this is.
 
         Raises Refusal, and the planner's errors but for a path that cannot be followed to its end.
         """
-        check_group(request.group_name, self._group)
+        group = self._groups.of(request.group_name)
         if not finite(request.max_step, "max_step") > 0.0:
             raise Refusal(
                 Val.FAILURE, "max_step is the distance of two points of the path; give one above 0", "max_step"
@@ -59,7 +60,7 @@ class CartesianPaths:
                 f"{len(request.waypoints)} waypoints; a path has 1 to {MOST}",
                 "waypoints",
             )
-        descriptor, links = self._engine.robot.descriptor, self._frames.links
+        descriptor, links = group.robot.descriptor, self._frames.links
         link = known_as(request.link_name, links.links) or descriptor.tip_link
         if link not in links.links:
             raise Refusal(
@@ -93,7 +94,7 @@ class CartesianPaths:
                 rotational_speed=speeds.rotational_speed,
                 tip=None if link == descriptor.tip_link else TipFrame(link=link),
             )
-            return ask(PlanRequest(goal=goal, start=start))
+            return ask(PlanRequest(goal=goal, group=group.name, start=start))
 
         return _as_far_as_possible(poses, along, kept, speeds)
 

@@ -22,6 +22,7 @@ from zarm_geometry.frames import pose_of
 from zarm_ros_bridge.convert.poses import pose_of as ros_pose_of
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
+from zarm_ros_bridge.moveit.arm_groups import ArmGroup
 from zarm_ros_bridge.moveit.constraint_set import ConstraintSet
 from zarm_ros_bridge.moveit.error_codes import Refusal
 from zarm_ros_bridge.moveit.goals import pose_goal
@@ -53,15 +54,19 @@ class Curves:
         self._engine = engine
         self._frames = frames
 
-    def goal(self, planner: str, request: Any, start: Sequence[float], speeds: Speeds) -> CartesianGoal:
-        """The goal of a request with the planner LIN, CIRC or POLYLINE, from `start` (rad). Raises Refusal."""
+    def goal(
+        self, planner: str, request: Any, start: Sequence[float], speeds: Speeds, group: ArmGroup
+    ) -> CartesianGoal:
+        """The goal of a request with the planner LIN, CIRC or POLYLINE for a group, from the robot's joints `start` (rad). Raises
+        Refusal.
+        """
         if len(request.goal_constraints) != 1:
             raise Refusal(
                 Val.INVALID_GOAL_CONSTRAINTS,
                 f"{planner} has one goal, and not {len(request.goal_constraints)}",
                 "goal_constraints",
             )
-        end, tip, free = self._end(request, start)
+        end, tip, free = self._end(request, start, group)
         options: dict[str, Any] = {
             "speed": speeds.speed,
             "acceleration": speeds.acceleration,
@@ -75,9 +80,9 @@ class Curves:
             return ArcGoal(kind="arc", position=end.position, orientation=turned, **self._circle(request), **options)
         return PathGoal(kind="path", points=self._points(request, end), **options)
 
-    def _end(self, request: Any, start: Sequence[float]) -> tuple[Pose, TipFrame | None, bool]:
+    def _end(self, request: Any, start: Sequence[float], group: ArmGroup) -> tuple[Pose, TipFrame | None, bool]:
         """The pose at the end, the frame that has it there, and whether its orientation is not given."""
-        links, robot = self._frames.links, self._engine.robot
+        links, robot = self._frames.links, group.robot
         field = "goal_constraints[0]"
         constraints = ConstraintSet(request.goal_constraints[0], self._engine, self._frames, field)
         if constraints.joints and not (constraints.positions or constraints.orientations):

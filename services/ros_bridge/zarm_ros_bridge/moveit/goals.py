@@ -117,6 +117,13 @@ def _goal(
 
 def _joints(constraints: ConstraintSet, start: Sequence[float], robot: RobotDescription, field: str) -> Iterator[float]:
     """Positions within all bounds: those that are asked for, moved into the range of the joint."""
+    for one in constraints.joints:
+        if one.joint not in robot.descriptor.joints:
+            raise Refusal(
+                Val.INVALID_GOAL_CONSTRAINTS,
+                f"{one.joint} is not a joint of the group; those are {', '.join(robot.descriptor.joints)}",
+                f"{field}.joint_constraints",
+            )
     lower, upper = robot.range_about(start)
     for joint, at, low, high in zip(robot.descriptor.joints, start, lower, upper, strict=True):
         bounds = [one for one in constraints.joints if one.joint == joint]

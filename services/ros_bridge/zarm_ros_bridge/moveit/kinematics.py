@@ -19,9 +19,9 @@ from zarm_ros_bridge.convert.poses import ros_pose
 from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
+from zarm_ros_bridge.moveit.arm_groups import ArmGroup, ArmGroups
 from zarm_ros_bridge.moveit.constraint_set import ConstraintSet
 from zarm_ros_bridge.moveit.error_codes import Refusal
-from zarm_ros_bridge.moveit.requests import check_group
 from zarm_ros_bridge.moveit.states import Positions, robot_state, start_of
 
 _SECONDS = 65.0
@@ -32,10 +32,10 @@ _BATCH = 1000  # most states in one request
 class Kinematics:
     """Answers for states that a request gives. Thread-safe."""
 
-    def __init__(self, engine: Engine, frames: Frames, group: str) -> None:
+    def __init__(self, engine: Engine, frames: Frames, groups: ArmGroups) -> None:
         self._engine = engine
         self._frames = frames
-        self._group = group
+        self._groups = groups
 
     def fk(self, request: Any, response: Any) -> None:
         """Fill in the poses of the links, in the frame of the request. Raises Refusal, UnknownFrame."""
@@ -62,26 +62,28 @@ class Kinematics:
     def ik(self, request: Any, response: Any) -> None:
         """Fill in joints for one pose. Raises Refusal, UnknownFrame, and PlanningFailed without a solution."""
         asked = request.ik_request
-        check_group(asked.group_name, self._group)
+        group = self._groups.of(asked.group_name)
         if len(asked.ik_link_names) > 1 or len(asked.pose_stamped_vector) > 1:
             raise Refusal(
                 Val.INVALID_GOAL_CONSTRAINTS,
-                "one link at a time; the robot has one arm",
+                "one link at a time; ask for each arm by its group",
                 "ik_request.pose_stamped_vector",
             )
         near = self._state(asked.robot_state)
         limits = ConstraintSet(asked.constraints, self._engine, self._frames, "ik_request.constraints")
-        pose, tip = self._ik_goal(asked)
+        pose, tip = self._ik_goal(asked, group)
         found = self._engine.client.request_ik(
             IkRequest(
                 poses=(pose,),
                 tip=tip,
+                group=group.name,
                 near=near,
                 max_solutions=64 if limits else 1,
                 collision_free=asked.avoid_collisions,
             )
         )
-        solutions = [joints for joints in found.solutions[0] if not limits or limits.holds(joints)]
+        states = [group.whole(joints, near) for joints in found.solutions[0]]
+        solutions = [state for state in states if not limits or limits.holds(state)]
         if not solutions:
             raise PlanningFailed(
                 "no joints within their ranges reach the pose"
@@ -109,7 +111,7 @@ class Kinematics:
 
     def _check_group(self, name: str) -> None:
         if name:  # without one, the whole robot is meant
-            check_group(name, self._group)
+            self._groups.of(name)
 
     def _validate(self, request: Any, response: Any, states: Sequence[Positions]) -> None:
         constraints = ConstraintSet(request.constraints, self._engine, self._frames, "constraints")
@@ -149,9 +151,9 @@ class Kinematics:
                 contact.normal = Vector3(x=x, y=y, z=z)
         return contact
 
-    def _ik_goal(self, asked: Any) -> tuple[Pose, TipFrame | None]:
+    def _ik_goal(self, asked: Any, group: ArmGroup) -> tuple[Pose, TipFrame | None]:
         """The pose that is asked for, and of which link, None for the tip."""
-        robot, links = self._engine.robot, self._frames.links
+        robot, links = group.robot, self._frames.links
         stamped = asked.pose_stamped_vector[0] if asked.pose_stamped_vector else asked.pose_stamped
         names = list(asked.ik_link_names) or [asked.ik_link_name]
         link = known_as(names[0], links.links) or robot.descriptor.tip_link

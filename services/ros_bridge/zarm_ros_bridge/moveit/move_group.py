@@ -29,13 +29,14 @@ from zarm_ros_bridge.description import shown_description
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
 from zarm_ros_bridge.moveit.actions import Actions, PlansByTrajectory
+from zarm_ros_bridge.moveit.arm_groups import ArmGroups
 from zarm_ros_bridge.moveit.cartesian_path import CartesianPaths
 from zarm_ros_bridge.moveit.display import PlannedPaths
 from zarm_ros_bridge.moveit.error_codes import error_code
 from zarm_ros_bridge.moveit.gripper_groups import GripperGroups
 from zarm_ros_bridge.moveit.kinematics import Kinematics
 from zarm_ros_bridge.moveit.planners import Planners
-from zarm_ros_bridge.moveit.requests import MotionPlanRequests, ask, check_group
+from zarm_ros_bridge.moveit.requests import MotionPlanRequests, ask
 from zarm_ros_bridge.moveit.scene import PlanningScenes
 from zarm_ros_bridge.moveit.servo_node import ServoNode
 from zarm_ros_bridge.moveit.srdf import semantic_description
@@ -65,11 +66,11 @@ def move_group(
     commands: ServoCommands,
     group: str,
 ) -> Iterator[None]:
-    """Serve on the node of `ros`; call before `spin`. `group` is the name of the arm's group; those of grippers have
-    their own."""
+    """Serve on the node of `ros`; call before `spin`. `group` is the name of the group of all joints; those of the descriptor,
+    and of grippers, have their own."""
     _describe(ros, engine, group)
     frames.remember()
-    requests = MotionPlanRequests(engine, frames, group)
+    requests = MotionPlanRequests(engine, frames, ArmGroups(engine, group))
     PlannedPaths(ros, engine)
     Planners(ros, engine)
     ServoNode(ros, commands)
@@ -101,9 +102,9 @@ class Services:
         self._requests = requests
         self._plans = plans
         self._grippers = GripperGroups(engine)
-        self._paths = CartesianPaths(engine, frames, requests.group)
+        self._paths = CartesianPaths(engine, frames, requests.groups)
         self._log = ros.node.get_logger()
-        kinematics = Kinematics(engine, frames, requests.group)
+        kinematics = Kinematics(engine, frames, requests.groups)
         for kind, name, fill, codes in (
             (GetMotionPlan, "plan_kinematic_path", self._plan, lambda response: response.motion_plan_response),
             (GetMotionSequence, "plan_sequence_path", self._sequence, lambda response: response.response),
@@ -168,7 +169,7 @@ class Services:
             response.solution = robot_trajectory(plan, self._frames.links.base)
 
     def _urdf(self, request: Any, response: Any) -> None:
-        check_group(request.group_name, self._requests.group)
+        self._requests.groups.of(request.group_name)
         response.urdf_string = shown_description(self._engine.robot)
 
 

@@ -108,11 +108,15 @@ class PlanningSceneMessages:
         tip = self._robot.descriptor.tip_link
         found = grouped(one.object for one in scene.attached)
         touch = {id_of(one.object.name): one.touch_links for one in scene.attached}
+        carrier = {id_of(one.object.name): one.link or tip for one in scene.attached}
         return [
             AttachedCollisionObject(
-                link_name=tip,
+                link_name=carrier[identity],
                 object=collision_object(
-                    identity, parts, placed(parts[0]) if len(parts) == 1 else matrix((0.0, 0.0, 0.0)), tip
+                    identity,
+                    parts,
+                    placed(parts[0]) if len(parts) == 1 else matrix((0.0, 0.0, 0.0)),
+                    carrier[identity],
                 ),
                 touch_links=list(touch[identity]),
             )

@@ -15,6 +15,7 @@ from zarm_contract.messages import Goal, Move, Plan, PlanRequest, ProgramRequest
 from zarm_ros_bridge.convert.fields import finite, in_terms_of
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
+from zarm_ros_bridge.moveit.arm_groups import ArmGroup, ArmGroups
 from zarm_ros_bridge.moveit.constraint_set import ConstraintSet
 from zarm_ros_bridge.moveit.curves import Curves, Speeds
 from zarm_ros_bridge.moveit.error_codes import Refusal
@@ -58,11 +59,11 @@ class Scales:
 class MotionPlanRequests:
     """Plans what clients of MoveIt request. Thread-safe."""
 
-    def __init__(self, engine: Engine, frames: Frames, group: str) -> None:
+    def __init__(self, engine: Engine, frames: Frames, groups: ArmGroups) -> None:
         self._engine = engine
         self._frames = frames
         self._curves = Curves(engine, frames)
-        self.group = group
+        self.groups = groups
 
     def plan(self, request: Any, ask: Ask) -> Plan:
         """The plan for a `MotionPlanRequest`. Raises Refusal, and the planner's errors with the fields of the request."""
@@ -74,10 +75,11 @@ class MotionPlanRequests:
             raise in_terms_of(error, _FIELDS) from error
 
     def _plan(self, request: Any, ask: Ask) -> Plan:
-        self.check(request)
+        group = self.check(request)
         start = start_of(request.start_state, self._frames, self._engine.joints, "start_state")
         scales = Scales.of(request)
         options: dict[str, Any] = {
+            "group": group.name,
             "start": start,
             "timeout": min(request.allowed_planning_time, LONGEST) if request.allowed_planning_time > 0.0 else None,
             "velocity_scale": scales.velocity,
@@ -86,12 +88,12 @@ class MotionPlanRequests:
         curve = along(request.pipeline_id, request.planner_id)
         begin = start or self._frames.joints()
         if curve is not None:
-            goal = self._curves.goal(curve, request, begin, self._speeds(request, scales))
+            goal = self._curves.goal(curve, request, begin, self._speeds(request, scales), group)
             return self._followed(curve, request, begin, ask(PlanRequest(goal=goal, **options)))
         constraints = self._along_way(None, request)
         return self._first(
-            self._goals(request, begin),
-            lambda goal: self._kept(PlanRequest(goal=goal, **options), request, constraints, begin, ask),
+            self._goals(request, begin, group),
+            lambda goal: self._kept(PlanRequest(goal=goal, **options), request, constraints, begin, group, ask),
         )
 
     def plan_sequence(self, items: Sequence[Any], ask: Ask) -> Plan:
@@ -121,19 +123,20 @@ class MotionPlanRequests:
             )
         )
 
-    def check(self, request: Any) -> None:
-        """Raises Refusal for another group than that of the robot, and for what zarm has no meaning for."""
-        check_group(request.group_name, self.group)
+    def check(self, request: Any) -> ArmGroup:
+        """The group of a request. Raises Refusal for one that the robot has not, and for what zarm has no meaning for."""
+        group = self.groups.of(request.group_name)
         if request.trajectory_constraints.constraints:
             raise Refusal(
                 Val.INVALID_MOTION_PLAN,
                 "trajectory constraints have no meaning for any planner of zarm; give path constraints",
                 "trajectory_constraints",
             )
+        return group
 
     def _segment(self, i: int, items: Sequence[Any], begin: Positions) -> tuple[Move, Scales]:
         request = items[i].req
-        self.check(request)
+        group = self.check(request)
         if i and (request.start_state.joint_state.name or request.start_state.multi_dof_joint_state.joint_names):
             raise Refusal(Val.INVALID_ROBOT_STATE, "only the first item has a start state; leave it out", "start_state")
         radius = finite(items[i].blend_radius, "blend_radius")
@@ -146,9 +149,9 @@ class MotionPlanRequests:
         if self._along_way(curve, request):
             raise Refusal(Val.INVALID_MOTION_PLAN, "path constraints are not kept in a sequence", "path_constraints")
         if curve is not None:
-            goal: Goal = self._curves.goal(curve, request, begin, self._speeds(request, scales))
+            goal: Goal = self._curves.goal(curve, request, begin, self._speeds(request, scales), group)
         else:
-            goals = self._goals(request, begin)
+            goals = self._goals(request, begin, group)
             if len(goals) > 1:
                 raise Refusal(
                     Val.INVALID_GOAL_CONSTRAINTS,
@@ -156,7 +159,8 @@ class MotionPlanRequests:
                     "goal_constraints",
                 )
             (goal,) = goals
-        return Move(kind="move", goal=goal, blend=radius if self._blends(i, items) else 0.0), scales
+        blend = radius if self._blends(i, items) else 0.0
+        return Move(kind="move", goal=goal, group=group.name, blend=blend), scales
 
     def _along_way(self, curve: str | None, request: Any) -> ConstraintSet:
         """The path constraints of a request; positions for CIRC and POLYLINE are points of the curve, and none."""
@@ -185,6 +189,7 @@ class MotionPlanRequests:
         one, other = items[i].req, items[i + 1].req
         lines = all(along(item.pipeline_id, item.planner_id) == "LIN" for item in (one, other))
         same = (
+            "group_name",
             "max_velocity_scaling_factor",
             "max_acceleration_scaling_factor",
             "max_cartesian_speed",
@@ -192,16 +197,16 @@ class MotionPlanRequests:
         )
         return lines and all(getattr(one, name, None) == getattr(other, name, None) for name in same)
 
-    def _goals(self, request: Any, begin: Positions) -> list[Goal]:
+    def _goals(self, request: Any, begin: Positions, group: ArmGroup) -> list[Goal]:
         if not request.goal_constraints:
             raise Refusal(Val.INVALID_GOAL_CONSTRAINTS, "there is no goal; give one", "goal_constraints")
         sets = [
             ConstraintSet(one, self._engine, self._frames, f"goal_constraints[{i}]")
             for i, one in enumerate(request.goal_constraints)
         ]
-        robot = self._engine.robot
+        robot = group.robot
         tip = lambda: self._frames.links.poses(begin)[robot.descriptor.tip_link]  # noqa: E731  goals of joints need none
-        return goals_of(sets, begin, robot, tip)
+        return goals_of(sets, group.part(begin), robot, tip)
 
     def _speeds(self, request: Any, scales: Scales) -> Speeds:
         most = finite(request.max_cartesian_speed, "max_cartesian_speed")
@@ -217,35 +222,43 @@ class MotionPlanRequests:
                 fault = fault or error
         raise fault or AssertionError
 
-    def _kept(self, asked: PlanRequest, request: Any, constraints: ConstraintSet, begin: Positions, ask: Ask) -> Plan:
+    def _kept(
+        self,
+        asked: PlanRequest,
+        request: Any,
+        constraints: ConstraintSet,
+        begin: Positions,
+        group: ArmGroup,
+        ask: Ask,
+    ) -> Plan:
         """The plan that keeps path constraints and the bound of a link's speed."""
 
         def plan(wanted: PlanRequest) -> Plan:
             if not constraints:
                 return ask(wanted)
             return constrained_plan(
-                wanted, constraints, begin, self._engine.robot.descriptor.tip_link, self._frames.links, ask
+                wanted, constraints, begin, group.robot.descriptor.tip_link, self._frames.links, ask
             )
 
         most = finite(request.max_cartesian_speed, "max_cartesian_speed")
         made = plan(asked)
         for _ in range(_ROUNDS if most > 0.0 else 0):
-            speed = self._speed(made, request.cartesian_speed_limited_link)
+            speed = self._speed(made, request.cartesian_speed_limited_link, group)
             if speed <= most:
                 return made
             scale = max((asked.velocity_scale or 1.0) * _SLOWER * most / speed, _SLOWEST)
             asked = asked.model_copy(update={"velocity_scale": scale})
             made = plan(asked)
-        if most > 0.0 and self._speed(made, request.cartesian_speed_limited_link) > most:
+        if most > 0.0 and self._speed(made, request.cartesian_speed_limited_link, group) > most:
             raise PlanningFailed(
                 f"no motion was found in which the link keeps to {most:g} m/s; allow it more",
                 field="max_cartesian_speed",
             )
         return made
 
-    def _speed(self, plan: Plan, link: str) -> float:
+    def _speed(self, plan: Plan, link: str, group: ArmGroup) -> float:
         """The greatest speed (m/s) of a link between two samples of a plan."""
-        name = link or self._engine.robot.descriptor.tip_link
+        name = link or group.robot.descriptor.tip_link
         if name not in self._frames.links.links:
             raise Refusal(Val.INVALID_LINK_NAME, f"the robot has no link {name!r}", "cartesian_speed_limited_link")
         points = np.array([self._frames.links.poses(at)[name][:3, 3] for at in plan.trajectory.position])
@@ -258,16 +271,6 @@ def ask(engine: Engine, request: PlanRequest | ProgramRequest) -> Plan:
     if isinstance(request, ProgramRequest):
         return engine.client.request_program(request)
     return engine.client.request_plan(request)
-
-
-def check_group(name: str, group: str) -> None:
-    """Raises Refusal for any other group."""
-    if name != group:
-        raise Refusal(
-            Val.INVALID_GROUP_NAME,
-            f"there is no group {name!r}; this robot has {group!r}, or the one that the bridge is started with: --group",
-            "group_name",
-        )
 
 
 def _placed(error: ZarmError, place: str) -> ZarmError:

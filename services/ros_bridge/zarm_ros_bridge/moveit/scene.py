@@ -250,7 +250,7 @@ class PlanningScenes:
                 for part in held[name]:
                     scene.detach(part.name)
             return
-        self._check_link(message.link_name)
+        carrier = self._carrier(message.link_name)
         if message.object.primitives or message.object.meshes or message.object.planes:
             self._object(message.object)
         name = name_of(identity, "object.id")
@@ -262,10 +262,10 @@ class PlanningScenes:
         links = self._engine.robot.descriptor.collision
         touch = {known_as(link, links) for link in (message.link_name, *message.touch_links)}
         for part in parts:
-            scene.attach(part.name, touch_links=[link for link in links if link in touch])
+            scene.attach(part.name, touch_links=[link for link in links if link in touch], link=carrier)
 
-    def _check_link(self, name: str) -> None:
-        """Raises Refusal unless the link moves with the tip, to which objects are attached."""
+    def _carrier(self, name: str) -> str | None:
+        """The link that an object is attached to; None for one that is fixed to the tip. Raises Refusal for none of the robot's."""
         links, tip = self._frames.links, self._engine.robot.descriptor.tip_link
         link = known_as(name, links.links) or tip
         if link not in links.links:
@@ -274,12 +274,7 @@ class PlanningScenes:
                 f"the robot has no link {name!r}; choose among {', '.join(links.links)}",
                 "link_name",
             )
-        if links.rigid(link) != links.rigid(tip):
-            raise Refusal(
-                Val.INVALID_LINK_NAME,
-                f"objects are attached to {tip}, or to a link that is fixed to it; {name} is not",
-                "link_name",
-            )
+        return None if links.rigid(link) == links.rigid(tip) else link
 
     def _allow(self, matrix: Any) -> None:
         """Ignore collisions of what may touch everything, and check the rest. Raises Refusal for single pairs."""

@@ -1,0 +1,58 @@
+"""The planning groups of a robot's joints by their names in MoveIt: all joints, and the groups of the descriptor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from moveit_msgs.msg import MoveItErrorCodes as Val
+
+from zarm_contract.robot import RobotDescription
+from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.moveit.error_codes import Refusal
+from zarm_ros_bridge.moveit.states import Positions
+
+
+@dataclass(frozen=True)
+class ArmGroup:
+    """Joints that are planned together: `robot` is the robot with these alone, and their tip. `name` is that of the descriptor's
+    group, None for all joints; `joints` are the indices of its joints among the robot's.
+    """
+
+    name: str | None
+    robot: RobotDescription
+    joints: tuple[int, ...]
+
+    def part(self, positions: Sequence[float]) -> Positions:
+        """The positions (rad) of its joints among those of the robot."""
+        return tuple(positions[k] for k in self.joints)
+
+    def whole(self, part: Sequence[float], positions: Sequence[float]) -> Positions:
+        """`positions` (rad) of the robot, with those of the group's joints in place of its own."""
+        found = np.array(positions, np.float64)
+        found[list(self.joints)] = part
+        return tuple(found.tolist())
+
+
+class ArmGroups:
+    """The groups that clients of MoveIt name. `default` is the name of the group of all joints."""
+
+    def __init__(self, engine: Engine, default: str) -> None:
+        robot = engine.robot
+        self._groups = {default: ArmGroup(None, robot, tuple(range(len(robot.descriptor.joints))))}
+        for name in robot.descriptor.groups:
+            part = robot.group(name)
+            joints = tuple(robot.descriptor.joints.index(joint) for joint in part.descriptor.joints)
+            self._groups[name] = ArmGroup(name, part, joints)
+
+    def of(self, name: str) -> ArmGroup:
+        """The group of this name. Raises Refusal."""
+        if name not in self._groups:
+            known = ", ".join(map(repr, self._groups))
+            raise Refusal(
+                Val.INVALID_GROUP_NAME,
+                f"there is no group {name!r}; this robot has {known}, where the first is the one that the bridge is started with: --group",
+                "group_name",
+            )
+        return self._groups[name]

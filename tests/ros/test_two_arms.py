@@ -1,0 +1,125 @@
+"""Two arms for clients of MoveIt: a group for each, as in a robot that MoveIt's setup assistant described."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from pymoveit2 import MoveIt2
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+
+import zarm
+from support.composed import two_pandas
+from support.harness import eventually
+from support.ros.moveit import DOWN
+from support.ros.node import served, spinning
+from support.ros.stack import Stack, stack
+from zarm.robot import Robot
+from zarm_contract.robot import RobotDescription, load_robot
+from zarm_ros_bridge.moveit.srdf import semantic_description
+
+TIP = "{}_panda_grasptarget"
+
+
+@pytest.fixture(scope="module")
+def pandas(tmp_path_factory: pytest.TempPathFactory) -> RobotDescription:
+    return load_robot(str(two_pandas(tmp_path_factory.mktemp("pandas"))))
+
+
+@pytest.fixture(scope="module")
+def arms(pandas: RobotDescription, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    """Two emulated Pandas on one table, whose bridge serves MoveIt's interface."""
+    folder = tmp_path_factory.mktemp("stack")
+    with stack(folder, robot=str(pandas.path), ros_bridge=("--moveit",), servo=()) as processes:
+        yield processes
+
+
+@pytest.fixture(scope="module")
+def robot(arms: Stack) -> Iterator[Robot]:
+    with zarm.connect(arms.endpoint, "arm") as robot:
+        yield robot
+
+
+@pytest.fixture
+def client() -> Iterator[Node]:
+    with spinning("two_arms_client") as node:
+        yield node
+
+
+def moveit(client: Node, pandas: RobotDescription, group: str) -> MoveIt2:
+    made = MoveIt2(
+        node=client,
+        joint_names=list(pandas.group_joints(group)),
+        base_link_name="table",
+        end_effector_name=TIP.format(group),
+        group_name=group,
+        callback_group=ReentrantCallbackGroup(),
+    )
+    served(client, "move_action", "execute_trajectory")
+    return made
+
+
+def test_each_arm_is_planned_and_executed_by_its_group(
+    client: Node, pandas: RobotDescription, arms: Stack, robot: Robot
+) -> None:
+    for group, y in (("left", 0.25), ("right", -0.25)):
+        arm = moveit(client, pandas, group)
+        other = [name not in arm.joint_names for name in pandas.descriptor.joints]
+        before = np.array(robot.joint_state().position)
+        arm.move_to_pose(position=(0.45, y, 0.4), quat_xyzw=DOWN)
+        assert arm.wait_until_executed()
+        assert robot.tip(group).position == pytest.approx((0.45, y, 0.4), abs=2e-3)
+        assert np.array(robot.joint_state().position)[other] == pytest.approx(before[other], abs=1e-9)
+
+
+def test_joints_of_a_group_are_a_goal(client: Node, pandas: RobotDescription, arms: Stack, robot: Robot) -> None:
+    goal = np.array(pandas.group("right").descriptor.home) + 0.1
+    arm = moveit(client, pandas, "right")
+    arm.move_to_configuration(goal.tolist())
+    assert arm.wait_until_executed()
+    assert robot.joint_state().position[7:] == pytest.approx(goal, abs=1e-3)
+
+
+def test_inverse_kinematics_of_a_group_keep_the_other_arm(
+    client: Node, pandas: RobotDescription, arms: Stack, robot: Robot
+) -> None:
+    arm = moveit(client, pandas, "right")
+    found = arm.compute_ik(position=(0.4, -0.2, 0.5), quat_xyzw=DOWN)
+    assert found is not None
+    q = [dict(zip(found.name, found.position, strict=True))[name] for name in pandas.descriptor.joints]
+    assert robot.fk([q], group="right")[0].position == pytest.approx((0.4, -0.2, 0.5), abs=1e-4)
+    assert q[:7] == pytest.approx(robot.joint_state().position[:7], abs=1e-9)
+
+
+def test_an_object_is_attached_to_the_arm_that_is_named(
+    client: Node, pandas: RobotDescription, arms: Stack, robot: Robot
+) -> None:
+    arm = moveit(client, pandas, "right")
+    x, y, z = robot.tip("right").position
+    arm.add_collision_box("part", size=(0.03, 0.03, 0.03), position=(x, y, z), quat_xyzw=(0.0, 0.0, 0.0, 1.0))
+    fingers = [f"right_panda_{name}" for name in ("hand", "leftfinger", "rightfinger")]
+    arm.attach_collision_object("part", "right_panda_hand", fingers)
+    eventually_attached(robot, "right_panda_hand")
+    arm.detach_all_collision_objects()
+    robot.scene.clear()
+
+
+def eventually_attached(robot: Robot, link: str) -> None:
+    eventually(lambda: [one.link for one in robot.scene.read().attached] == [link], f"it is attached to {link}")
+
+
+def test_the_semantic_description_has_a_group_for_each_arm(pandas: RobotDescription) -> None:
+    root = ET.fromstring(semantic_description(pandas, "arm"))
+    chains = {
+        group.get("name"): (chain.get("base_link"), chain.get("tip_link"))
+        for group in root.findall("group")
+        for chain in group.findall("chain")
+    }
+    assert chains == {name: (f"{name}_panda_link0", TIP.format(name)) for name in ("left", "right")}
+    (whole,) = (group for group in root.findall("group") if group.get("name") == "arm")
+    assert tuple(joint.get("name") for joint in whole) == pandas.descriptor.joints
+    parents = {one.get("name"): one.get("parent_group") for one in root.findall("end_effector")}
+    assert parents == {"left_hand": "left", "right_hand": "right"}
