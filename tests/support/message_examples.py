@@ -163,8 +163,9 @@ _TARGETS = (
         linear=(0.1, 0.0, 0.0),
         angular=(0.0, 0.0, 0.2),
         tolerance=_BALL,
+        group="left",
     ),
-    m.TwistTarget(kind="twist", frame="tool", linear=(0.1, 0.0, 0.0), angular=(0.0, 0.0, 0.2)),
+    m.TwistTarget(kind="twist", frame="tool", linear=(0.1, 0.0, 0.0), angular=(0.0, 0.0, 0.2), group="left"),
     m.JointSpeedTarget(kind="joint_speed", velocity=(0.1, -0.2)),
     m.JointTarget(kind="joints", position=(0.1, -0.2)),
 )

@@ -102,9 +102,15 @@ class Tracking(_Session):
     """The robot follows a pose of its tip, or joint positions; `Robot.track` makes it."""
 
     def to(
-        self, goal: Pose | PoseGoal | Numbers, *, linear: Numbers | None = None, angular: Numbers | None = None
+        self,
+        goal: Pose | PoseGoal | Numbers,
+        *,
+        linear: Numbers | None = None,
+        angular: Numbers | None = None,
+        group: str | None = None,
     ) -> None:
-        """Set the target: a `zarm.Pose` of the tip in the base frame, a `zarm.PoseGoal` with freedom, or joint positions (rad).
+        """Set the target: a `zarm.Pose` of the tip in the base frame, a `zarm.PoseGoal` with freedom, or joint positions (rad). Of a
+        robot with several arms, poses are those of the tip of a `group`.
 
         Call it repeatedly, at least 20 times a second: the robot brakes if the target is older than 0.1 s. `linear`
         (m/s) and `angular` (rad/s) are the velocity of a pose in the base frame, by default estimated from successive
@@ -122,6 +128,7 @@ class Tracking(_Session):
                     linear=_vector(linear, "linear"),
                     angular=_vector(angular, "angular"),
                     tolerance=goal.tolerance if isinstance(goal, PoseGoal) else None,
+                    group=group,
                 )
             )
         else:
@@ -132,9 +139,10 @@ class Tracking(_Session):
         goal: Pose | PoseGoal | Numbers,
         *,
         timeout: float,
+        group: str | None = None,
         on_progress: Callable[[ServoSession], object] | None = None,
     ) -> None:
-        """Move the robot to a fixed pose or fixed joint positions, and wait until it rests there, within 1 mm and 0.01
+        """Move the robot to a fixed pose or fixed joint positions, as in `to`, and wait until it rests there, within 1 mm and 0.01
         rad.
 
         `on_progress` receives the session's states. Raises DeadlineExceeded, which names the obstacle, if the target is
@@ -143,7 +151,7 @@ class Tracking(_Session):
         deadline, before = time.monotonic() + timeout, self._state
         first = self._sequence + 1
         while time.monotonic() < deadline:
-            self.to(goal)
+            self.to(goal, group=group)
             self._connection.interrupts.run_interruptibly(lambda: time.sleep(PERIOD))
             state = self._state
             if state is None or state is before or state.sequence < first:
@@ -165,9 +173,10 @@ class Jogging(_Session):
         angular: Numbers = (0.0, 0.0, 0.0),
         *,
         frame: Literal["base", "tool"] = "base",
+        group: str | None = None,
     ) -> None:
-        """Move the tip at these velocities (m/s, rad/s) along the axes of the base or of the tool, for the next 0.1 s
-        at most.
+        """Move the tip, or that of a `group`, at these velocities (m/s, rad/s) along the axes of the base or of the tool, for the next
+        0.1 s at most.
 
         Raises the problem with which the session has ended, and Unavailable if it has ended without one.
         """
@@ -177,6 +186,7 @@ class Jogging(_Session):
                 frame=frame,
                 linear=_vector(linear, "linear") or (0.0, 0.0, 0.0),
                 angular=_vector(angular, "angular") or (0.0, 0.0, 0.0),
+                group=group,
             )
         )
 

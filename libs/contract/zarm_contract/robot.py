@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -361,12 +361,31 @@ class RobotDescription:
         moving = {joint for part in parts for joint in known[part].moving(self.urdf, base_link)}
         return tuple(joint for joint in self.descriptor.joints if joint in moving)
 
+    def group_with(self, joints: Collection[str]) -> str | None:
+        """The smallest group that has these joints; None if there is none, and for a robot without groups."""
+        known = {name: self.group_joints(name) for name in self.descriptor.groups}
+        fitting = [name for name, own in known.items() if set(joints) <= set(own)]
+        return min(fitting, key=lambda name: len(known[name]), default=None)
+
     def tip_of(self, groups: Sequence[str]) -> str:
         """The tip of the first of these groups; without any, the `tip_link`."""
         if not groups:
             return self.descriptor.tip_link
         first = self.descriptor.groups[groups[0]]
         return first.tip_link or self.tip_of(first.groups)
+
+    def check_tip(self, group: str | None, field: str = "group") -> None:
+        """Raises InvalidRequest that names the `field` unless a group has one tip; without one, unless all joints move the only tip."""
+        groups = self.descriptor.groups
+        if group is None:
+            named = [name for name, one in groups.items() if one.tip_link is not None]
+            if groups and not any(self.group_joints(name) == self.descriptor.joints for name in named):
+                message = f"the robot has several tips; name one of the groups {', '.join(named)}"
+                raise InvalidRequest(message, field=field)
+            return
+        self.group_joints(group, field)
+        if parts := groups[group].groups:
+            raise InvalidRequest(f"{group} has several tips; name one of its groups, {', '.join(parts)}", field=field)
 
     def group(self, *names: str) -> RobotDescription:
         """This robot with the joints of these groups alone, and the tip of the first; `whole` is the robot. Raises

@@ -86,7 +86,7 @@ class RobotModel:
         """
         robot, joints = self.robot.group(*names), self.robot.descriptor.joints
         moving = [joints.index(joint) for joint in robot.descriptor.joints]
-        frames = self._frames(q, np.arange(self.dof, dtype=np.int32), np.repeat(np.eye(4)[None], self.dof, axis=0))
+        frames = self._frames(q, np.arange(self.dof, dtype=np.int32), self._at_joints)
         tree, places = self.tree.standing(moving, frames)
         tip = _placed(self.mount(robot.descriptor.tip_link), places)
         bodies = [
@@ -292,9 +292,10 @@ class RobotModel:
             around=np.column_stack([np.reshape(around, (-1, 4)), spread]).astype(np.float32),
         )
 
-    def fk_tip(self, q: ArrayLike) -> Array:
-        """The pose of `tip_link` (..., 4, 4) for joints (..., dof)."""
-        return self._frames(q, *self._tip)[..., 0, :, :]
+    def fk_tip(self, q: ArrayLike, group: str | None = None) -> Array:
+        """The pose of the `tip_link`, or of the tip of a group, (..., 4, 4) for joints (..., dof)."""
+        joint, offset, _ = self._tips[group]
+        return self._frames(q, np.array([joint], np.int32), offset[None])[..., 0, :, :]
 
     def fk_link(self, link: str, q: ArrayLike) -> Array:
         """The pose of a link (..., 4, 4) for joints (..., dof). Raises InvalidRequest for one that is not of this robot."""
@@ -305,32 +306,42 @@ class RobotModel:
         """The frame (..., 4, 4) that a joint moves for joints (..., dof); -1 is the base."""
         return self._frames(q, np.array([joint], np.int32), np.eye(4)[None])[..., 0, :, :]
 
-    def tip_jacobian(self, q: ArrayLike) -> Array:
-        """The tip Jacobian (6, dof) at `q` (dof,): m/rad and rad/rad (m/m and 0 if prismatic), base frame."""
+    def tip_jacobian(self, q: ArrayLike, group: str | None = None) -> Array:
+        """The Jacobian (6, dof) of the tip, or of the tip of a group, at `q` (dof,): m/rad and rad/rad (m/m and 0 if prismatic), base
+        frame. For a group, joints that are not of it have columns of zeros.
+        """
         out = np.empty((1, self.dof + 1, 4, 4))
-        joint, offset = self._joints_and_tip
+        tip_joint, tip, moves = self._tips[group]
+        joint = np.append(np.arange(self.dof), tip_joint).astype(np.int32)
+        offset = np.append(self._at_joints, tip[None], axis=0)
         frames(self.tree.table, self.origin, joint, offset, np.array(q, np.float64, ndmin=2), out)
         axes, arms = out[0, :-1, :3, 2], out[0, -1, :3, 3] - out[0, :-1, :3, 3]
         (a, b, c), (x, y, z) = axes.T, arms.T
         turning = (b * z - c * y, c * x - a * z, a * y - b * x, a, b, c)
         sliding = (a, b, c, 0 * a, 0 * b, 0 * c)
-        moves = np.isin(np.arange(self.dof), self.ancestors(self.tip_joint))
         return np.where(moves, np.where(self.revolute, turning, sliding), 0.0)
 
     @cached_property
-    def _joints_and_tip(self) -> tuple[Index, Array]:
-        """The frames of all joints and of the tip, as `kernels.kinematics.frames` takes them."""
-        joint = np.append(np.arange(self.dof), self.tip_joint).astype(np.int32)
-        return joint, np.append(np.repeat(np.eye(4)[None], self.dof, axis=0), self.offset[-1:], axis=0)
+    def _at_joints(self) -> Array:
+        return np.repeat(np.eye(4)[None], self.dof, axis=0)
+
+    @cached_property
+    def _tips(self) -> dict[str | None, tuple[int, Array, NDArray[np.bool_]]]:
+        """By group, and for None of the `tip_link`: the joint that carries the tip, the tip (4, 4) in its frame, and which joints (dof,)
+        move it.
+        """
+        joints = self.robot.descriptor.joints
+        moves = np.isin(np.arange(self.dof), self.ancestors(self.tip_joint))
+        tips: dict[str | None, tuple[int, Array, NDArray[np.bool_]]] = {None: (self.tip_joint, self.offset[-1], moves)}
+        for name, group in self.robot.descriptor.groups.items():
+            if group.tip_link is not None:
+                own = np.isin(joints, self.robot.group_joints(name))
+                tips[name] = (*self.mount(group.tip_link), own)
+        return tips
 
     def link_transforms(self, q: ArrayLike) -> Array:
         """The poses (..., len(links), 4, 4) of `links` for joints (..., dof)."""
         return self._frames(q, self.link_joint, self.offset[:-1])
-
-    @cached_property
-    def _tip(self) -> tuple[Index, Array]:
-        """The frame of the tip, as `kernels.kinematics.frames` takes it."""
-        return np.array([self.tip_joint], np.int32), self.offset[-1:]
 
     def _frames(self, q: ArrayLike, joint: Index, offset: Array) -> Array:
         joints = np.array(q, np.float64, order="C")

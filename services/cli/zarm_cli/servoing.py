@@ -20,6 +20,7 @@ from zarm_cli.client import SIGNALS, AsJson, Connect, Name, connected, message
 from zarm_cli.goals import (
     Free,
     Freedom,
+    Group,
     JointsGoal,
     To,
     Tolerance,
@@ -84,8 +85,8 @@ class Keys:
                 return replace(self, joint=int(key) - 1, moves=None)
         return replace(self, moves=None)
 
-    def send(self, jogging: Jogging, joints: int, now: float) -> None:
-        """Send the present request to the robot."""
+    def send(self, jogging: Jogging, joints: int, group: str | None, now: float) -> None:
+        """Send the present request to the robot; a twist is that of the tip of the `group`."""
         moves = self.moves if now - self.pressed <= HOLD else None
         values = [0.0] * max(6, joints)
         if moves is not None and moves[0] == "joint":
@@ -94,7 +95,7 @@ class Keys:
             return
         if moves is not None:
             values[moves[1]] = moves[2] * self.scale * (LINEAR if moves[1] < 3 else ANGULAR)
-        jogging.twist(values[:3], values[3:6], frame=self.frame)
+        jogging.twist(values[:3], values[3:6], frame=self.frame, group=group)
 
 
 class Shown:
@@ -118,6 +119,7 @@ class Shown:
 
 
 def jog(
+    group: Group = None,
     margin: Margin = 0.01,
     velocity_scale: VelocityScale = None,
     take_over: TakeOver = False,
@@ -145,7 +147,7 @@ def jog(
                         return
                     keys = keys.press(key, joints, time.monotonic())
                 now = time.monotonic()
-                keys.send(jogging, joints, now)
+                keys.send(jogging, joints, group, now)
                 if now - shown > 0.1:
                     shown = now
                     live.update(_display(keys, jogging.state), refresh=True)
@@ -158,6 +160,7 @@ def track(
     tolerance: Tolerance = None,
     tolerance_frame: ToleranceFrame = None,
     joints_goal: JointsGoal = None,
+    group: Group = None,
     timeout: Annotated[float, typer.Option(help="Give up after this time (s).")] = 30.0,
     margin: Margin = 0.01,
     velocity_scale: VelocityScale = None,
@@ -169,10 +172,10 @@ def track(
     """Move the robot straight to a pose or joint positions, or along a global plan around obstacles."""
     freedom = typed_freedom(free, tolerance, tolerance_frame, None)
     typed = typed_goal(to, joints_goal, False, freedom)
-    if len(typed.poses) > 1:
+    if len(typed.poses) > 1 or typed.groups:
         raise typer.BadParameter("give one pose", param_hint="--to")
     with connected(connect, name) as robot:
-        goal = typed.joints if typed.joints is not None else _target(robot, typed.poses[0], freedom)
+        goal = typed.joints if typed.joints is not None else _target(robot, typed.poses[0], freedom, group)
         scale = 1.0 if velocity_scale is None else velocity_scale
         shown = Shown()
         with robot.track(margin=margin, velocity_scale=scale, take_over=take_over) as tracking:
@@ -181,7 +184,7 @@ def track(
                 if shown.changes(limited(state).partition(",")[0], time.monotonic()):
                     err.print(f"zarm: {limited(state)}", soft_wrap=True)
 
-            tracking.reach(goal, timeout=timeout, on_progress=show)
+            tracking.reach(goal, timeout=timeout, group=group, on_progress=show)
             last = tracking.state
     if last is None:
         return
@@ -193,8 +196,8 @@ def track(
         out.print(f"reached to {1e3 * (last.position_error or 0.0):.2f} mm and {last.orientation_error or 0.0:.4f} rad")
 
 
-def _target(robot: Robot, values: list[float], freedom: Freedom) -> PoseGoal:
-    pose = full_pose(robot, values, oriented=freedom.needs_orientation)
+def _target(robot: Robot, values: list[float], freedom: Freedom, group: str | None) -> PoseGoal:
+    pose = full_pose(robot, values, oriented=freedom.needs_orientation, group=group)
     return message(PoseGoal, kind="pose", **pose, **freedom.fields)
 
 

@@ -38,29 +38,21 @@ class Group:
                 raise InvalidRequest("each goal of the goal names its group; leave this out", field=f"{field}group")
             _check_apart(robot, goal, f"{field}goal")
             return cls._named(robot, tuple(part.group for part in goal.goals))
-        if name is not None:
-            robot.group_joints(name, f"{field}group")
-            if _poses_in(goal) and (parts := robot.descriptor.groups[name].groups):
-                raise InvalidRequest(
-                    f"{name} has several tips; give a goal of kind groups, with a goal for each of {', '.join(parts)}",
-                    field=f"{field}group",
-                )
-            return cls._named(robot, (name,))
         if _poses_in(goal):
-            check_one_tip(robot, f"{field}group")
-        return None
+            robot.check_tip(name, f"{field}group")
+        if name is None:
+            return None
+        robot.group_joints(name, f"{field}group")
+        return cls._named(robot, (name,))
 
     @classmethod
     def of_tip(cls, robot: RobotDescription, name: str | None) -> Self | None:
         """The group whose tip a request is about; None if the robot has one tip, which all joints move. Raises
         InvalidRequest.
         """
+        robot.check_tip(name)
         if name is None:
-            check_one_tip(robot, "group")
             return None
-        robot.group_joints(name)
-        if parts := robot.descriptor.groups[name].groups:
-            raise InvalidRequest(f"{name} has several tips; ask for one of {', '.join(parts)}", field="group")
         return cls._named(robot, (name,))
 
     @classmethod
@@ -107,16 +99,6 @@ class Group:
         velocity[:, self.joints] = motion.velocity
         acceleration[:, self.joints] = motion.acceleration
         return replace(verified, trajectory=TimedTrajectory(motion.time, position, velocity, acceleration))
-
-
-def check_one_tip(robot: RobotDescription, field: str) -> None:
-    """Raises InvalidRequest that names the `field` if a pose could be that of several tips, or not all joints move it."""
-    groups = robot.descriptor.groups
-    if groups and not any(
-        robot.group_joints(name) == robot.descriptor.joints and not groups[name].groups for name in groups
-    ):
-        names = ", ".join(name for name, group in groups.items() if not group.groups)
-        raise InvalidRequest(f"the robot has several tips; name one of the groups {names}", field=field)
 
 
 def _poses_in(goal: Goal) -> bool:

@@ -173,6 +173,7 @@ def plan_program(
                 case Attach() | Detach():
                     change = _change(segment)
                     stage.change(change, done.q)
+                    touched = tuple(name for name in touched if name != change.name)  # it is carried, or put down
                     changes.append((done.time, change, done.q))
                     done.add(TimedTrajectory.standing(done.q, CHANGE_S), standing)
                 case Grip():

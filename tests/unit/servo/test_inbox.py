@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from zarm_contract.messages import JointSpeedTarget, PoseTarget, ServoTarget, TwistTarget
+from zarm_contract.robot import load_robot
 from zarm_servo.tracking import targets
 from zarm_servo.tracking.inbox import Inbox
 
@@ -24,7 +25,7 @@ def pose(x: float) -> PoseTarget:
 
 @pytest.fixture
 def inbox() -> Inbox:
-    return Inbox(6)
+    return Inbox(load_robot("doosan_m1013"))
 
 
 def test_a_target_is_as_old_as_it_was_under_way_longer_than_the_quickest(inbox: Inbox) -> None:

@@ -9,7 +9,7 @@ from pydantic import Field
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
 from zarm_contract.messages.executor import Obstruction
-from zarm_contract.messages.goals import PoseTolerance
+from zarm_contract.messages.goals import GroupName, PoseTolerance
 from zarm_contract.messages.motion import Joints, Name, NonNegative, Quaternion, Scale, SequenceNumber, Vector3
 from zarm_contract.messages.scene import SceneRevision
 
@@ -60,7 +60,8 @@ class PoseTarget(Message):
     """Bring the tip to a pose in the base frame: `position` (m), `orientation` `[x, y, z, w]`.
 
     `linear` (m/s) and `angular` (rad/s) say how the pose moves, in the base frame; both left out: as from the target before to this one.
-    Within the `tolerance` the tip is there: what is free is not corrected.
+    Within the `tolerance` the tip is there: what is free is not corrected. With a `group` of the descriptor it is the tip of that group, and
+    only its joints move; a robot with several tips needs one.
     """
 
     kind: Literal["pose"]
@@ -70,15 +71,19 @@ class PoseTarget(Message):
     linear: Vector3 | None = None
     angular: Vector3 | None = None
     tolerance: PoseTolerance | None = None
+    group: GroupName | None = None
 
 
 class TwistTarget(Message):
-    """Move the tip with `linear` (m/s) and `angular` (rad/s) velocity, along the axes of the base or of the `tool`, which is the tip."""
+    """Move the tip with `linear` (m/s) and `angular` (rad/s) velocity, along the axes of the base or of the `tool`, which is the tip.
+    `group` as in `PoseTarget`.
+    """
 
     kind: Literal["twist"]
     frame: Literal["base", "tool"]
     linear: Vector3 = (0.0, 0.0, 0.0)
     angular: Vector3 = (0.0, 0.0, 0.0)
+    group: GroupName | None = None
 
 
 class JointSpeedTarget(Message):

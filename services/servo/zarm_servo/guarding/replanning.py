@@ -77,7 +77,7 @@ class Replanner:
         replace: Callable[[ReplaceTrajectory], object],
         metrics: Metrics,
     ) -> None:
-        self._joints = robot.descriptor.joints
+        self._robot, self._joints = robot, robot.descriptor.joints
         self._strategy_params = robot.descriptor.strategy_params
         self._velocity, self._limits = np.array(robot.descriptor.cspace.velocity), RateLimits.of(robot.descriptor)
         self._reaction = reaction(robot.descriptor)
@@ -202,23 +202,32 @@ class Replanner:
     def _plan(self, blocked: Blocked, deadline: float, start: StartState | None = None) -> Plan:
         """A plan to the end of the trajectory, by the deadline (s, monotonic), from the current state or from `start`.
 
-        If those joints are in collision and the goal is a pose, a plan to any joints that bring the tip there.
+        If those joints are in collision and the goal is a pose, a plan to any joints that bring the tip there. Of a robot with groups, the
+        smallest one that has all joints that move.
         """
-        joints, tip = JointGoal(kind="joints", position=tuple(blocked.trajectory.end.tolist())), blocked.message.tip
+        moving = np.ptp(blocked.trajectory.position, axis=0) > 0.0
+        group = self._robot.group_with([joint for joint, moves in zip(self._joints, moving, strict=True) if moves])
+        own = self._joints if group is None else self._robot.group_joints(group)
+        end = dict(zip(self._joints, blocked.trajectory.end.tolist(), strict=True))
+        joints, tip = JointGoal(kind="joints", position=tuple(end[joint] for joint in own)), blocked.message.tip
         try:
-            return self._ask_for(joints, deadline, start)
+            return self._ask_for(joints, group, deadline, start)
         except ZarmError as error:
             if tip is None or error.problem.code != "goal_in_collision":
                 raise
-        return self._ask_for(PoseGoal(kind="pose", position=tip.position, orientation=tip.orientation), deadline, start)
+        pose = PoseGoal(kind="pose", position=tip.position, orientation=tip.orientation)
+        return self._ask_for(pose, group, deadline, start)
 
-    def _ask_for(self, goal: JointGoal | PoseGoal, deadline: float, start: StartState | None) -> Plan:
+    def _ask_for(
+        self, goal: JointGoal | PoseGoal, group: str | None, deadline: float, start: StartState | None
+    ) -> Plan:
         """A plan no faster than the goal was at first. Raises DeadlineExceeded at `deadline` (s, monotonic)."""
         _, velocity, acceleration = self._pace
         left = max(deadline - time.monotonic(), _LEAST_TIME)
         return self._ask(
             PlanRequest(
                 goal=goal,
+                group=group,
                 start_state=start,
                 timeout=left,
                 optimize_s=0.0,

@@ -77,6 +77,7 @@ def find_global_plan(
     def plan(goal: PoseGoal | JointGoal, margin: float, timeout: float) -> Array:
         request = PlanRequest(
             goal=goal,
+            group=target.group if isinstance(target, PoseTarget) else None,
             start=tuple(start.tolist()),
             margin=margin,
             self_margin=margin,

@@ -9,6 +9,7 @@ import numpy as np
 
 from zarm_contract import messages as m
 from zarm_contract.errors import InvalidRequest, Problem, ZarmError
+from zarm_contract.robot import RobotDescription
 from zarm_geometry.frames import matrix
 from zarm_servo.refusal import Refusal
 from zarm_servo.tracking.controller import STALE
@@ -32,12 +33,11 @@ zero.
 
 
 class Inbox:
-    """Receives the targets of one session of a robot with `joints` joints. `now` is on the monotonic clock.
-    Thread-safe.
-    """
+    """Receives the targets of one session of a robot. `now` is on the monotonic clock. Thread-safe."""
 
-    def __init__(self, joints: int) -> None:
-        self._joints = joints
+    def __init__(self, robot: RobotDescription) -> None:
+        self._robot = robot
+        self._joints = len(robot.descriptor.joints)
         self._lock = threading.Lock()
         self._target: Target | None = None
         self._message: m.ServoTarget | None = None
@@ -133,9 +133,13 @@ class Inbox:
             case m.PoseTarget() as reported:
                 still = (0.0, 0.0, 0.0)
                 velocity = np.array((*(reported.linear or still), *(reported.angular or still)))
-                return PoseTarget(matrix(reported.position, reported.orientation), velocity, reported.tolerance)
+                self._robot.check_tip(reported.group, "target.group")
+                pose = matrix(reported.position, reported.orientation)
+                return PoseTarget(pose, velocity, reported.tolerance, reported.group)
             case m.TwistTarget() as reported:
-                return TwistTarget(np.array((*reported.linear, *reported.angular)), reported.frame)
+                self._robot.check_tip(reported.group, "target.group")
+                twist = np.array((*reported.linear, *reported.angular))
+                return TwistTarget(twist, reported.frame, reported.group)
             case m.JointSpeedTarget() as reported:
                 return JointSpeedTarget(self._of_joints(reported.velocity, "target.velocity"))
             case m.JointTarget() as reported:
@@ -178,6 +182,8 @@ def _fault(message: m.ServoTarget, before: m.ServoTarget, passed: float) -> Inva
 def _moving(before: Target | None, target: PoseTarget, passed: float | None) -> PoseTarget:
     """A pose that goes on as it did from the target before, unless it has jumped."""
     if passed is None or passed > STALE or not isinstance(before, PoseTarget):
+        return target
+    if before.group != target.group:
         return target
     moving = target.moving(before.pose, passed)
     speeds = np.linalg.norm(moving.velocity[:3]), np.linalg.norm(moving.velocity[3:])

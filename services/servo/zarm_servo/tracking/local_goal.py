@@ -167,7 +167,7 @@ class LocalGoal:
     def _errors(self, wanted: PoseTarget | JointTarget, position: Array) -> tuple[float, float, float]:
         if isinstance(wanted, JointTarget):
             return 0.0, 0.0, float(np.abs(wanted.distance(self._model, position)).max())
-        error = wanted.error(self._model.fk_tip(position), wanted.pose)
+        error = wanted.error(self._model.fk_tip(position, wanted.group), wanted.pose)
         return float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])), 0.0
 
     def _ahead(self, plan: GlobalPlan, position: Array) -> Array:
@@ -200,7 +200,9 @@ def _between(a: Array, b: Array) -> tuple[float, float]:
 def _apart(a: PoseTarget | JointTarget, b: PoseTarget | JointTarget, limits: tuple[float, float, float]) -> bool:
     """Whether two targets are further apart than these limits: m, rad, rad of a joint."""
     if isinstance(a, PoseTarget) and isinstance(b, PoseTarget):
-        return a.tolerance != b.tolerance or bool(np.any(np.greater(_between(a.pose, b.pose), limits[:2])))
+        return (a.tolerance, a.group) != (b.tolerance, b.group) or bool(
+            np.any(np.greater(_between(a.pose, b.pose), limits[:2]))
+        )
     if isinstance(a, JointTarget) and isinstance(b, JointTarget):
         return float(np.abs(a.position - b.position).max()) > limits[2]
     return True

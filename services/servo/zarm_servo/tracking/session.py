@@ -131,7 +131,7 @@ class Session:
     ) -> None:
         robot, check, world = config.robot, config.check, config.world
         self.goal_id, self._margin = goal_id, request.margin
-        self.inbox = Inbox(len(position))
+        self.inbox = Inbox(robot)
         self._joints = robot.descriptor.joints
         self._model: RobotModel = check.model
         self._measured = world.measured
@@ -258,7 +258,7 @@ class Session:
             return {"joint_error": float(np.abs(target.distance(self._model, position)).max())}
         if not isinstance(target, PoseTarget):
             return {}
-        error = target.error(self._model.fk_tip(position), target.after(snapshot.age or 0.0))
+        error = target.error(self._model.fk_tip(position, target.group), target.after(snapshot.age or 0.0))
         return {
             "position_error": float(np.linalg.norm(error[:3])),
             "orientation_error": float(np.linalg.norm(error[3:])),

@@ -34,12 +34,13 @@ _SLOWEST = 0.1
 @dataclass(frozen=True)
 class PoseTarget:
     """Bring the tip to `pose` (4, 4), which itself moves with the twist `velocity` (6,): m/s, rad/s, both in the base
-    frame. Within the `tolerance` it is there.
+    frame. Within the `tolerance` it is there. The tip is that of the `group`, whose joints alone move.
     """
 
     pose: Array
     velocity: Array = field(default_factory=lambda: np.zeros(6))
     tolerance: PoseTolerance | None = None
+    group: str | None = None
 
     def moving(self, before: Array, passed: float) -> Self:
         """The same target, which was at `before` (4, 4) `passed` s ago, and continues at this twist."""
@@ -92,10 +93,11 @@ class PoseTarget:
 
 @dataclass(frozen=True)
 class TwistTarget:
-    """Move the tip with `twist` (6,): m/s, then rad/s, along the axes of the base or of the tool (the tip)."""
+    """Move the tip, of the `group`, with `twist` (6,): m/s, then rad/s, along the axes of the base or of the tool (the tip)."""
 
     twist: Array
     frame: Literal["base", "tool"] = "base"
+    group: str | None = None
 
 
 @dataclass(frozen=True)
@@ -143,17 +145,17 @@ def wish(model: RobotModel, target: Target, age: float, position: Array, speed: 
         velocity = within_speed(_approach(target.distance(model, position), acceleration), speed)
         return Wish(velocity, np.eye(model.dof), (math.inf, np.zeros(model.dof)))
     held = target.held(target.after(age)) if isinstance(target, PoseTarget) else np.eye(6)
-    whole = model.tip_jacobian(position)
+    whole = model.tip_jacobian(position, target.group)
     u, values, v = np.linalg.svd(held @ whole, full_matrices=False)
     least = float(values[-1])
     near = min(1.0, least / SINGULAR)
     inverse = (v.T * (values / (values**2 + _DAMPING**2 * (1.0 - near**2)))) @ u.T
     if isinstance(target, TwistTarget):
-        turn = model.fk_tip(position)[:3, :3] if target.frame == "tool" else np.eye(3)
+        turn = model.fk_tip(position, target.group)[:3, :3] if target.frame == "tool" else np.eye(3)
         twist = np.concatenate((turn @ target.twist[:3], turn @ target.twist[3:]))
         velocity = inverse @ twist
     else:
-        error = held @ target.error(model.fk_tip(position), target.after(age))
+        error = held @ target.error(model.fk_tip(position, target.group), target.after(age))
         velocity = _approach(inverse @ error, acceleration) + inverse @ (held @ target.velocity)
     return Wish(
         max(near, _SLOWEST) * within_speed(velocity, speed),

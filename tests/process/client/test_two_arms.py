@@ -1,0 +1,160 @@
+"""Two arms on one bus: each moves alone, both move together, one hands over to the other, and the servo watches and leads them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+
+import zarm
+from support.command_line import zarm as zarm_cli
+from support.composed import two_pandas
+from support.harness import ServiceProcess, eventually, router
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.keys import Keys
+from zarm_runtime.bus import Bus
+
+DOWN = (1.0, 0.0, 0.0, 0.0)
+LEFT, RIGHT = slice(7), slice(7, 14)
+HOME = (0.0, -0.785398, 0.0, -2.356194, 0.0, 1.570796, 0.785398)
+
+
+class Cell:
+    """Two Pandas, their planner, executor and servo, and a client."""
+
+    def __init__(self, stack: ExitStack, tmp_path_factory: pytest.TempPathFactory) -> None:
+        folder = tmp_path_factory.mktemp("cell")
+        self.endpoint = stack.enter_context(router())
+        bus = stack.enter_context(Bus(self.endpoint))
+        robot = str(two_pandas(tmp_path_factory.mktemp("robot")))
+        for service in ("planner", "executor", "servo"):
+            process = ServiceProcess(service, self.endpoint, folder, robot)
+            stack.enter_context(process).wait_ready(bus, Keys("pandas"))
+        self.robot = stack.enter_context(zarm.connect(self.endpoint))
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    with ExitStack() as stack:
+        yield Cell(stack, tmp_path_factory)
+
+
+@pytest.fixture
+def robot(cell: Cell) -> zarm.Robot:
+    """The robot at home, in an empty scene, with open grippers."""
+    for name in cell.robot.scene.attached():
+        cell.robot.scene.detach(name)
+    cell.robot.scene.clear()
+    for gripper in ("left_hand", "right_hand"):
+        cell.robot.gripper.open(gripper)
+    cell.robot.execute(cell.robot.plan((*HOME, *HOME)))
+    return cell.robot
+
+
+def positions(robot: zarm.Robot) -> np.ndarray:  # type: ignore[type-arg]
+    return np.array(robot.joint_state().position)
+
+
+def test_one_arm_moves_and_the_other_stands(robot: zarm.Robot) -> None:
+    before = positions(robot)
+    robot.execute(robot.plan(zarm.Pose((0.45, -0.25, 0.3), DOWN), group="right"))
+    assert robot.tip("right").position == pytest.approx((0.45, -0.25, 0.3), abs=1e-3)
+    assert positions(robot)[LEFT] == pytest.approx(before[LEFT], abs=1e-9)
+
+
+def test_both_arms_move_at_once(robot: zarm.Robot) -> None:
+    robot.execute(robot.plan({"left": zarm.Pose((0.45, 0.2, 0.35), DOWN), "right": HOME}))
+    assert robot.tip("left").position == pytest.approx((0.45, 0.2, 0.35), abs=1e-3)
+    state = robot.execute(
+        robot.plan({"left": zarm.Pose((0.4, 0.3, 0.5), DOWN), "right": zarm.Pose((0.4, -0.3, 0.3), DOWN)})
+    )
+    assert state.status == "succeeded"
+    assert robot.tip("left").position == pytest.approx((0.4, 0.3, 0.5), abs=1e-3)
+    assert robot.tip("right").position == pytest.approx((0.4, -0.3, 0.3), abs=1e-3)
+
+
+def test_one_arm_hands_an_object_over_to_the_other(robot: zarm.Robot) -> None:
+    """The right one takes a bar, carries it to the middle, and the left one takes it there and lets the right one go."""
+    bar = zarm.Cuboid("bar", size=(0.03, 0.3, 0.03), position=(0.5, -0.3, 0.1))
+    robot.scene.add(bar)
+    middle, apart = 0.4, 0.11
+    grasp = zarm.PoseGoal(
+        zarm.Pose((0.5, -0.3 - apart, 0.1), DOWN), approach=zarm.Offset(0.1, (0, 0, 1), touch=("bar",))
+    )
+    held = {
+        side: tuple(f"{side}_panda_{name}" for name in ("leftfinger", "rightfinger", "hand"))
+        for side in ("left", "right")
+    }
+    take = zarm.PoseGoal(zarm.Pose((0.5, apart, middle), DOWN), approach=zarm.Offset(0.1, (0, 0, 1), touch=("bar",)))
+    program = [
+        zarm.Move(grasp, group="right", touch=("bar",)),
+        zarm.Grip(0.03, gripper="right_hand"),
+        zarm.Attach("bar", held["right"], link="right_panda_hand"),
+        zarm.Move(zarm.Pose((0.5, -apart, middle), DOWN), group="right"),
+        zarm.Detach("bar"),
+        zarm.Move(take, group="left", touch=("bar",)),
+        zarm.Grip(0.03, gripper="left_hand"),
+        zarm.Attach("bar", (*held["left"], *held["right"]), link="left_panda_hand"),
+        zarm.Grip(0.08, gripper="right_hand"),
+        zarm.Move(zarm.Line(zarm.Pose((0.5, -apart, middle + 0.12), DOWN)), group="right"),
+    ]
+    robot.execute(robot.plan_program(program))
+    (attached,) = robot.scene.attached().values()
+    assert attached.link == "left_panda_hand"
+    robot.scene.detach("bar")
+    x, y, z = robot.scene.objects()["bar"].position  # type: ignore[union-attr]
+    assert (x, y, z) == pytest.approx((0.5, 0.0, middle), abs=2e-3)
+
+
+def test_the_servo_holds_an_arm_before_what_appears_in_its_way(robot: zarm.Robot) -> None:
+    plan = robot.plan(zarm.Pose((0.45, -0.65, 0.35), DOWN), group="right", velocity_scale=0.1, acceleration_scale=0.1)
+    x, y, z = robot.fk([plan.trajectory.position[-1]], group="right")[0].position
+    goal_id = robot.start(plan)
+    robot.scene.add(zarm.Sphere("ball", radius=0.05, position=(x, y, z)))
+    held = next(state.hold for state in robot.executor.goal_states(goal_id) if state.hold is not None)
+    assert held.reason == "obstruction"
+    robot.scene.remove("ball")
+    last = robot.follow(goal_id)
+    assert last.status == "succeeded"
+
+
+def test_the_servo_leads_one_tip(robot: zarm.Robot) -> None:
+    before = positions(robot)
+    with robot.track() as tracking:
+        tracking.reach(zarm.Pose((0.4, -0.25, 0.4), DOWN), group="right", timeout=30.0)
+        assert tracking.state is not None
+        tracking.to(zarm.Pose((0.4, -0.25, 0.4), DOWN))
+        eventually(
+            lambda: tracking.state is not None and tracking.state.refused is not None,
+            "a pose without a group is refused",
+        )
+        assert "name one of the groups left, right" in tracking.state.refused.message  # type: ignore[union-attr]
+    assert robot.tip("right").position == pytest.approx((0.4, -0.25, 0.4), abs=2e-3)
+    assert positions(robot)[LEFT] == pytest.approx(before[LEFT], abs=1e-6)
+
+
+def test_the_command_line_moves_groups(cell: Cell, robot: zarm.Robot) -> None:
+    def done(*arguments: str) -> str:
+        result = zarm_cli(*arguments, ZARM_CONNECT=cell.endpoint)
+        assert result.returncode == 0, result.stderr
+        return result.stdout
+
+    done("execute", "--group", "left", "--to", "0.45,0.25,0.3")
+    assert robot.tip("left").position == pytest.approx((0.45, 0.25, 0.3), abs=1e-3)
+    done("execute", "--to", "left=0.4,0.3,0.4", "--to", "right=0.4,-0.3,0.4")
+    assert robot.tip("right").position == pytest.approx((0.4, -0.3, 0.4), abs=1e-3)
+    tip = json.loads(done("fk", "--group", "right", "--json"))["poses"][0]
+    assert tip["position"] == pytest.approx((0.4, -0.3, 0.4), abs=1e-3)
+
+
+def test_what_names_no_tip_is_refused(robot: zarm.Robot) -> None:
+    for refused in (
+        lambda: robot.plan(zarm.Pose((0.4, 0.3, 0.4))),
+        lambda: robot.tip(),
+        lambda: robot.ik(zarm.Pose((0.4, 0.3, 0.4))),
+    ):
+        with pytest.raises(InvalidRequest, match="name one of the groups left, right"):
+            refused()
