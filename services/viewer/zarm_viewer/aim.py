@@ -193,16 +193,20 @@ class Goal:
     def _branches(self, pose: SE3, near: Array, most: int) -> tuple[Branch, ...]:
         request = IkRequest(
             poses=(message_of(pose),),
+            group=self._panels.group,
             near=tuple(near.tolist()),
             max_solutions=most,
             collision_free=False,
         )
-        found = self._panels.robot.request_ik(request, timeout=_SECONDS).solutions[0]
+        solutions = self._panels.robot.request_ik(request, timeout=_SECONDS).solutions[0]
+        found = np.tile(near, (len(solutions), 1))
+        if solutions:
+            found[:, self._panels.moving] = solutions
 
         def turns(branch: Branch) -> tuple[bool, float]:
             return branch.in_collision, float(np.abs(branch.joints - near).max())
 
-        return tuple(sorted(self._checked(list(found)), key=turns))
+        return tuple(sorted(self._checked([*map(tuple, found.tolist())]), key=turns))
 
     def _checked(self, solutions: list[tuple[float, ...]]) -> tuple[Branch, ...]:
         if not solutions:

@@ -87,7 +87,7 @@ class JogPanel:
 
         def send(session: Jogging | Tracking) -> None:
             if isinstance(session, Jogging):
-                session.twist(vectors[0], vectors[1], frame=frame)
+                session.twist(vectors[0], vectors[1], frame=frame, group=self._panels.group)
 
         self._jogger.ask(client, "jog", send, **hold)
 
@@ -108,6 +108,6 @@ class JogPanel:
 
         def send(session: Jogging | Tracking) -> None:
             if isinstance(session, Tracking):
-                session.to(target)
+                session.to(target, group=self._panels.group)
 
         self._jogger.ask(client, "track", send, hold=KEY_HOLD)

@@ -28,13 +28,13 @@ def motion(joint: Joint, value: float) -> SE3:
 
 
 class Chain:
-    """The joints from the base of a robot to its tip."""
+    """The joints from the base of a robot to its tip, or to that of a group."""
 
-    def __init__(self, robot: RobotDescription) -> None:
+    def __init__(self, robot: RobotDescription, group: str | None = None) -> None:
         names = robot.descriptor.joints
         self._links = [
             (origin(joint), joint, names.index(joint.name) if joint.name in names else None)
-            for joint in robot.urdf.chain(robot.descriptor.base_link, robot.descriptor.tip_link)
+            for joint in robot.urdf.chain(robot.descriptor.base_link, robot.tip_of((group,) if group else ()))
         ]
 
     def tip(self, joints: Array) -> SE3:

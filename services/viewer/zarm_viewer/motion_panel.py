@@ -17,6 +17,7 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Plan
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.aim import Goal
+from zarm_viewer.arm import STILL
 from zarm_viewer.controls import button, changed, put
 from zarm_viewer.kinematics import message_of
 from zarm_viewer.named_poses import NamedPoses
@@ -57,6 +58,8 @@ class MotionPanel:
         changed(panels, self._strategy, "strategy", lambda: robot.strategy(self._strategy.value))
         self._branch = gui.add_dropdown("branch", ["1"], visible=False)
         changed(panels, self._branch, "branch", self._choose_branch)
+        if len(panels.groups) > 1:
+            self._add_groups()
         with gui.add_folder("Poses", expand_by_default=False):
             self._add_poses()
         with gui.add_folder("Joints (deg)", expand_by_default=False):
@@ -94,6 +97,15 @@ class MotionPanel:
         self._waypoints.show(yes)
 
     # -- what is on it --
+
+    def _add_groups(self) -> None:
+        choice = self._panels.server.gui.add_dropdown("group", self._panels.groups, initial_value=self._panels.group)
+
+        def choose() -> None:
+            self._panels.choose(choice.value)
+            self._goal.forget()
+
+        changed(self._panels, choice, "group", choose)
 
     def _add_poses(self) -> None:
         gui = self._panels.server.gui
@@ -168,18 +180,29 @@ class MotionPanel:
         self._goal.at(joints)
 
     def _target(self) -> Target:
+        """The goal: of the joints that move with the group, unless others are to move too."""
         aim = self._goal.now
         through, pose = self._waypoints.poses, pose_of(message_of(aim.pose))
         if through or self._way.in_use or self._options.to_pose or aim.branch is None:
             return self._way.target(through, pose)
-        return tuple(aim.branch.joints.tolist())
+        joints = aim.branch.joints
+        return tuple((joints[self._panels.moving] if self._of_group() else joints).tolist())
+
+    def _of_group(self) -> bool:
+        """Whether only the joints of the group are to move."""
+        branch, others = self._goal.now.branch, np.ones(len(self._panels.joints), np.bool_)
+        others[self._panels.moving] = False
+        return branch is None or bool(np.all(np.abs(branch.joints - self._panels.joints)[others] < STILL))
 
     def _plan_it(self) -> Plan:
         self._plan = None  # if planning fails, the previous plan must neither be executed nor be shown
         self._scrub.disabled = True
         self._forget_plan()
         options = self._options
-        plan = self._panels.robot.plan(self._target(), path_constraint=options.path_constraint, **options.settings)
+        group = self._panels.group if self._of_group() else None
+        plan = self._panels.robot.plan(
+            self._target(), path_constraint=options.path_constraint, group=group, **options.settings
+        )
         self._take(plan)
         return plan
 

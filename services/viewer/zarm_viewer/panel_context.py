@@ -41,14 +41,35 @@ class PanelContext:
     """Where its base is in the view (m, along y)."""
     chain: Chain = field(init=False)
     body: Body = field(init=False)
+    group: str | None = field(init=False)
+    """The group whose tip is aimed with and jogged; None if the robot is one arm."""
     joints: Array = field(init=False)
     measured: bool = False
     """Whether `joints` were measured; otherwise they are the home position."""
     events: deque[str] = field(default_factory=lambda: deque(maxlen=EVENTS))
 
     def __post_init__(self) -> None:
-        self.chain, self.body = Chain(self.description), body_of(self.description)
+        self.body = body_of(self.description)
+        self.choose(next(iter(self.groups), None))
         self.joints = np.array(self.description.descriptor.home)
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """The groups with a tip."""
+        groups = self.description.descriptor.groups
+        return tuple(name for name, group in groups.items() if group.tip_link is not None)
+
+    def choose(self, group: str | None) -> None:
+        """Aim with the tip of this group from now on."""
+        self.group, self.chain = group, Chain(self.description, group)
+
+    @property
+    def moving(self) -> list[int]:
+        """The indices of the joints that move with the group."""
+        joints = self.description.descriptor.joints
+        if self.group is None:
+            return [*range(len(joints))]
+        return [joints.index(joint) for joint in self.description.group_joints(self.group)]
 
     @property
     def root(self) -> str:
