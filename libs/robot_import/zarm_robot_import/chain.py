@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -39,11 +40,29 @@ class Mounted:
 
 
 @dataclass(frozen=True)
+class Group:
+    """Joints that move a tip: of an `arm`, without those that it shares with others; these; or all of one arm."""
+
+    name: str
+    tip: str
+    joints: tuple[str, ...]
+    arm: bool = False
+
+
+class SeveralChains(InvalidRequest):
+    """Several chains start at one link; `tips` are their ends where each has one."""
+
+    def __init__(self, message: str, tips: Sequence[str]) -> None:
+        super().__init__(message)
+        self.tips = tuple(tips)
+
+
+@dataclass(frozen=True)
 class Chain:
     """The arm: its moving joints, and every link in the frame of the link that moves with it.
 
-    `carriers` (dof + 1) are the base link and the child of each moving joint. `origins` (dof, 4, 4) are the joints'
-    frames in the preceding carrier. `fixed` are the joints that move in the URDF but stand still here, with their
+    `carriers` (dof + 1) are the base link and the child of each moving joint. `parents` (dof,) are the indices of the carriers on
+    which the joints are, and `origins` (dof, 4, 4) the joints' frames there. A robot with several arms is a tree of them, and has `groups`. `fixed` are the joints that move in the URDF but stand still here, with their
     positions; `free` are floating or planar joints, which stay at their origins. `mimics` says which of `fixed` are not
     at the position that their <mimic> prescribes, and why.
     """
@@ -52,6 +71,7 @@ class Chain:
     tip: str
     joints: tuple[Joint, ...]
     carriers: tuple[str, ...]
+    parents: tuple[int, ...]
     origins: tuple[Array, ...]
     mounted: tuple[Mounted, ...]
     fixed: tuple[tuple[str, float], ...]
@@ -61,10 +81,13 @@ class Chain:
     """The joints behind the tip's rigid part, which are taken as a gripper."""
     chosen: str | None = None
     """The option that chose the joints."""
+    groups: tuple[Group, ...] = ()
 
     @property
     def reason(self) -> str:
         """Why these joints are the arm."""
+        if self.groups:
+            return f"They are the moving joints in a row from `{self.base}` on, of each arm; --tip takes one alone."
         if self.chosen:
             return f"`{self.chosen}` chose them."
         row = f"They are the moving joints in a row from `{self.base}` on"
@@ -73,6 +96,11 @@ class Chain:
                 f"{row}; behind `{self.tip}` joints stand side by side, or mimic one another, as those of a gripper do."
             )
         return f"{row}, up to the last one."
+
+    @property
+    def tips(self) -> tuple[str, ...]:
+        """The tip of each arm."""
+        return tuple(group.tip for group in self.groups if group.arm) or (self.tip,)
 
     @property
     def reach(self) -> float:
@@ -84,8 +112,8 @@ class Chain:
     def poses(self, q: Array) -> dict[str, Array]:
         """The poses (n, 4, 4) of every link in the base frame, at joint positions (n, dof)."""
         carried = [np.tile(np.eye(4), (len(q), 1, 1))]
-        for joint, origin, values in zip(self.joints, self.origins, q.T, strict=True):
-            carried.append(carried[-1] @ origin @ joint.motions(values))
+        for joint, parent, origin, values in zip(self.joints, self.parents, self.origins, q.T, strict=True):
+            carried.append(carried[parent] @ origin @ joint.motions(values))
         return {mounted.link: carried[mounted.body] @ mounted.pose for mounted in self.mounted}
 
 
@@ -96,7 +124,7 @@ def choose_chain(
     positions: Mapping[str, float] | None = None,
     names: Sequence[str] = (),
 ) -> Chain:
-    """The chain from `base` (default: the root) to `tip` (default: the only sensible one).
+    """The chain from `base` (default: the root) to `tip` (default: the only sensible one, or one for each of several arms).
 
     `names` are the arm's joints in order, if they are chosen; others between them stand fixed. `positions` of joints outside
     the chain replace 0, or the value nearest to it within their limits. Raises InvalidRequest: with the choices if there
@@ -106,7 +134,12 @@ def choose_chain(
     base = _known(robot, base, "--base") if base else robot.root
     chosen = _named(robot, names)
     end = _end(robot, chosen[-1].child) if chosen else None
-    tip = _known(robot, tip, "--tip") if tip else end or _tip(robot, base)
+    try:
+        tip = _known(robot, tip, "--tip") if tip else end or _tip(robot, base)
+    except SeveralChains as several:
+        if (tree := _tree(robot, base, several.tips, dict(positions or {}))) is None:
+            raise
+        return tree
     path = robot.path(base, tip)
     if path is None:
         remedy = "swap them" if robot.path(tip, base) else "choose --base and --tip on one branch"
@@ -126,6 +159,62 @@ def choose_chain(
             f"{robot.source.path}: {', '.join(names)} are not joints of one chain from {base} to {tip} in their order, which is {order}",
             field="--joints",
         )
+    _check_joints(robot, joints)
+    if not joints and start is not None:
+        raise robot.source.fault(
+            start.element,
+            f"joint {start.name} is {start.type}, which an arm's joint cannot be, and no joint after it moves",
+        )
+    if not joints:
+        raise InvalidRequest(f"{robot.source.path}: no joint moves between {base} and {tip}; choose another --tip")
+    if len(joints) > MOST_JOINTS:
+        raise InvalidRequest(
+            f"{robot.source.path}: {len(joints)} joints move between {base} and {tip}, more than {MOST_JOINTS}; choose a --base "
+            "further out"
+        )
+    chain = _assembled(robot, base, tip, joints, dict(positions or {}))
+    return replace(chain, chosen="--joints" if names else "--tip" if asked else None)
+
+
+def _tree(robot: Description, base: str, tips: Sequence[str], positions: dict[str, float]) -> Chain | None:
+    """The tree of the arms that lead to these tips; None if they are too many for a descriptor."""
+    paths = [list(robot.path(base, tip) or ()) for tip in tips]
+    start = next((joint for joint in paths[0] if joint.type != "fixed"), None) if paths else None
+    if base == robot.root and start is not None and start.type in ("floating", "planar"):
+        base, paths = start.child, [path[path.index(start) + 1 :] if start in path else path for path in paths]
+    moving = [[joint for joint in path if joint.type != "fixed"] for path in paths]
+    joints = tuple({joint.name: joint for path in moving for joint in path}.values())
+    if len(tips) < 2 or len(joints) > MOST_JOINTS:
+        return None
+    _check_joints(robot, joints)
+    own = [[joint.name for joint in path if sum(joint in other for other in moving) == 1] for path in moving]
+    names = _group_names(own)
+    groups = [Group(name, tip, tuple(joints), arm=True) for name, tip, joints in zip(names, tips, own, strict=True)]
+    if shared := [joint for joint in joints if sum(joint in path for path in moving) > 1]:
+        groups.append(Group("torso", shared[-1].child, tuple(joint.name for joint in shared)))
+        groups += [
+            Group(f"torso+{name}", tip, tuple(joint.name for joint in path))
+            for name, tip, path in zip(names, tips, moving, strict=True)
+        ]
+    chain = _assembled(robot, base, tips[0], joints, positions)
+    return replace(chain, groups=tuple(groups))
+
+
+def _group_names(joints: Sequence[Sequence[str]]) -> list[str]:
+    """A name for each arm: the first word that all its joints have and those of the others have not, or its number."""
+    words = [[re.findall(r"[a-z][a-z0-9]*", name.lower()) for name in own] for own in joints]
+    common = [[word for word in own[0] if all(word in each for each in own)] for own in words]
+    names = []
+    for number, each in enumerate(common):
+        others = {word for other, own in enumerate(words) if other != number for name in own for word in name}
+        names.append(next((word for word in each if word not in others), f"arm_{number + 1}"))
+    return (
+        names if len(set(names)) == len(names) and "torso" not in names else [f"arm_{k + 1}" for k in range(len(names))]
+    )
+
+
+def _check_joints(robot: Description, joints: Sequence[Joint]) -> None:
+    """Raises InvalidRequest for a joint that an arm cannot have."""
     for joint in joints:
         if joint.type in ("floating", "planar"):
             raise robot.source.fault(
@@ -144,20 +233,6 @@ def choose_chain(
                 joint.element,
                 f"the origin of joint {joint.name} is {away:.4g} m from {joint.parent}, so it is in mm; divide every xyz by 1000",
             )
-    if not joints and start is not None:
-        raise robot.source.fault(
-            start.element,
-            f"joint {start.name} is {start.type}, which an arm's joint cannot be, and no joint after it moves",
-        )
-    if not joints:
-        raise InvalidRequest(f"{robot.source.path}: no joint moves between {base} and {tip}; choose another --tip")
-    if len(joints) > MOST_JOINTS:
-        raise InvalidRequest(
-            f"{robot.source.path}: {len(joints)} joints move between {base} and {tip}, more than {MOST_JOINTS}; choose a --base "
-            "further out"
-        )
-    chain = _assembled(robot, base, tip, path, joints, dict(positions or {}))
-    return replace(chain, chosen="--joints" if names else "--tip" if asked else None)
 
 
 def _named(robot: Description, names: Sequence[str]) -> tuple[Joint, ...]:
@@ -206,7 +281,8 @@ def _tip(robot: Description, base: str) -> str:
                     robot.links[link].element, f"no joint behind {link} moves; an arm has revolute or prismatic joints"
                 )
             shown = ", ".join(f"--tip {end}" for end in ends[:12])
-            raise InvalidRequest(f"{robot.source.path}: several chains start at {link}; choose one: {shown}")
+            tips = ends if len(longest) > 1 and len(ends) == len(longest) else ()
+            raise SeveralChains(f"{robot.source.path}: several chains start at {link}; choose one: {shown}", tips)
         if branches and count < _ARM and not _is_gripper(robot, branches):
             ends = [_end(robot, link), *(end for branch in branches for end in _offered(robot, branch))]
             shown = ", ".join(f"--tip {end}" for end in ends[:12])
@@ -309,9 +385,7 @@ def _ends(robot: Description, link: str) -> list[str]:
     return ends
 
 
-def _assembled(
-    robot: Description, base: str, tip: str, path: Sequence[Joint], joints: Sequence[Joint], positions: dict[str, float]
-) -> Chain:
+def _assembled(robot: Description, base: str, tip: str, joints: Sequence[Joint], positions: dict[str, float]) -> Chain:
     moving = {joint.name for joint in joints}
     every = {joint.name: joint for joint in robot.joint_of_child.values()}
     _check_fixed(robot, positions, every, moving)
@@ -357,16 +431,21 @@ def _assembled(
                 body = 0
         number[link] = body
         mounted.append(Mounted(link, body, np.linalg.inv(pose[carriers[body]]) @ pose[link]))
-    origins = tuple(np.linalg.inv(pose[carriers[i]]) @ pose[joint.child] for i, joint in enumerate(joints))
+    parents = tuple(number[joint.parent] for joint in joints)
+    origins = tuple(
+        np.linalg.inv(pose[carriers[parent]]) @ pose[joint.child] for parent, joint in zip(parents, joints, strict=True)
+    )
     fixed = tuple((name, value) for name, value in stands.items())
     free = tuple(joint for joint in every.values() if joint.type in ("floating", "planar"))
-    behind = {joint.name for link in robot.below(joints[-1].child) for joint in robot.children.get(link, ())}
+    last = [joint.child for index, joint in enumerate(joints) if index + 1 not in parents]
+    behind = {joint.name for end in last for link in robot.below(end) for joint in robot.children.get(link, ())}
     gripper = tuple(name for name in stands if name in behind)
     return Chain(
         base,
         tip,
         tuple(joints),
         carriers,
+        parents,
         origins,
         tuple(mounted),
         fixed,

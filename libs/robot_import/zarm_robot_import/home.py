@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,19 +30,56 @@ _LOOKED_AT = 200
 """Configurations examined for contacts if none is free."""
 
 
-def choose_home(model: RobotModel) -> tuple[float, ...]:
-    """The best of random configurations near the middle. Raises InvalidRequest if none is free of self-collision."""
+_EACH = 12
+"""Configurations of each of several arms that are tried together."""
+
+
+def choose_home(model: RobotModel, arms: Sequence[str] = ()) -> tuple[float, ...]:
+    """The best of random configurations near the middle. Raises InvalidRequest if none is free of self-collision.
+
+    Of several `arms`, which are groups, each is looked at alone, with what it shares with the others in the middle; then the best ones
+    together.
+    """
+    if not arms:
+        return tuple(next(_free(model)).tolist())
+    names, middle = model.robot.descriptor.joints, np.clip(0.0, model.lower, model.upper)
+    own = [[names.index(joint) for joint in model.robot.group_joints(arm)] for arm in arms]
+    best: list[list[Array]] = []
+    for arm, joints in zip(arms, own, strict=True):
+        others = {joint for each in own if each is not joints for joint in each}
+        elsewhere = [body.name for body in model.bodies if others & {*model.ancestors(body.joint)}]
+        best.append([*itertools.islice(_free(model.group((arm,), middle, without=elsewhere)), _EACH)])
+    for ranks in sorted(itertools.product(*(range(len(found)) for found in best)), key=sum):
+        q = middle.copy()
+        for joints, found, rank in zip(own, best, ranks, strict=True):
+            q[joints] = found[rank]
+        if _is_free(model, q):
+            return tuple(q.tolist())
+    raise InvalidRequest(
+        f"in none of {_EACH} configurations of each arm are the arms free of each other and of what carries them; look at where they stand, or "
+        "import one alone with --tip"
+    )
+
+
+def _is_free(model: RobotModel, q: Array) -> bool:
+    return is_free(model, World((), 0.005), q) and MotionCheck(model).check([0.0], [q], margin=_APART).free
+
+
+def _free(model: RobotModel) -> Iterator[Array]:
+    """Random configurations that are free of self-collision, the best first. Raises InvalidRequest if there are none."""
     rng = np.random.default_rng(2)
     middle = np.clip(0.0, model.lower, model.upper)
     lower, upper = np.maximum(model.lower, middle - np.pi), np.minimum(model.upper, middle + np.pi)
     candidates = np.round(rng.uniform(lower, upper, (SAMPLES, model.dof)), 2)
     candidates = np.clip(candidates, lower, upper)
     best = sorted(zip(_score(model, candidates).tolist(), candidates.tolist(), strict=True), reverse=True)
-    empty = World((), 0.005)
-    exact = MotionCheck(model)
+    empty, exact, any_free = World((), 0.005), MotionCheck(model), False
     for _, q in best:
         if is_free(model, empty, q) and exact.check([0.0], [q], margin=_APART).free:
-            return tuple(q)
+            any_free = True
+            yield np.array(q)
+    if any_free:
+        return
     nearest = (ExactScene(model, empty).nearest(q) for _, q in best[:_LOOKED_AT])
     touching = Counter(found.pair for found in nearest if found.pair and found.distance < _APART)
     what = "the spheres of two links overlap"

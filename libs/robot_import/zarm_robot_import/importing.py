@@ -14,15 +14,15 @@ from pathlib import Path
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.robot import load_robot
 from zarm_geometry.robot_model import RobotModel
-from zarm_robot_import.chain import choose_chain
+from zarm_robot_import.chain import Chain, choose_chain
 from zarm_robot_import.contacts import Contacts
-from zarm_robot_import.description import describe
+from zarm_robot_import.description import Description, describe
 from zarm_robot_import.fitting import fit
-from zarm_robot_import.gripper import find_gripper
+from zarm_robot_import.gripper import ImportedGripper, find_gripper
 from zarm_robot_import.home import choose_home
 from zarm_robot_import.inertia import unphysical
 from zarm_robot_import.limits import limits_of
-from zarm_robot_import.meshes import doubted, link_surface
+from zarm_robot_import.meshes import Surface, doubted, link_surface
 from zarm_robot_import.picture import draw
 from zarm_robot_import.report import Report
 from zarm_robot_import.ros_control import trajectory_controller
@@ -141,22 +141,23 @@ def _imported(
         fitted_links += 1
         progress(f"geometry of {link}", 0.2 + 0.5 * fitted_links / len(surfaces))
 
-    fitted = fit(surfaces, options.spheres, contacts.body, counted)
-    gripper = find_gripper(robot, chain, surfaces, options.fixed)
+    fitted = fit(surfaces, options.spheres * len(chain.tips), contacts.body, counted)
+    grippers = _grippers(robot, chain, surfaces, options)
     meshes = {surface.link: surface.triangles for surface in surfaces}
-    (work / f"{name}.urdf").write_text(urdf_text(robot, chain, limits, folder, gripper), encoding="utf-8")
+    (work / f"{name}.urdf").write_text(urdf_text(robot, chain, limits, folder, grippers), encoding="utf-8")
     descriptor = work / f"{name}.yaml"
 
     def write(home: Sequence[float], pairs: Sequence[Pair]) -> RobotModel:
-        text = descriptor_text(name, file, chain, limits, fitted, home, pairs, controller, gripper)
+        text = descriptor_text(name, file, chain, limits, fitted, home, pairs, controller, grippers)
         descriptor.write_text(text, encoding="utf-8")
         return RobotModel.of(load_robot(str(descriptor)))
 
     middle = [min(max(0.0, limit.lower), limit.upper) for limit in limits]
     progress("pairs of links", 0.7)
-    pairs = Pairs(contacts, fitted, {} if gripper is None else gripper.travel).judged()
+    travel = {link: far for gripper in grippers.values() for link, far in gripper.travel.items()}
+    pairs = Pairs(contacts, fitted, travel).judged()
     progress("home", 0.9)
-    home = choose_home(write(middle, pairs))
+    home = choose_home(write(middle, pairs), [group.name for group in chain.groups if group.arm])
     model = write(home, pairs)
     progress("picture", 0.95)
     draw(work / f"{name}.png", model, home, meshes, fitted)
@@ -173,10 +174,26 @@ def _imported(
         [*left_out, *suspect, *robot.notes],
         time.process_time() - begun,
         controller,
-        gripper,
+        grippers,
     )
     (work / f"{name}.md").write_text(report.markdown(), encoding="utf-8")
     return descriptor.name, report
+
+
+def _grippers(
+    robot: Description, chain: Chain, surfaces: Sequence[Surface], options: Options
+) -> dict[str, ImportedGripper]:
+    """The gripper behind each arm, by the name of its group, or as `gripper` behind the only one."""
+    arms = {"gripper": chain}
+    if chain.groups:
+        arms = {
+            group.name: choose_chain(robot, chain.base, group.tip, options.fixed) for group in chain.groups if group.arm
+        }
+    found = {
+        f"{name}_gripper" if chain.groups else name: find_gripper(robot, arm, surfaces, options.fixed)
+        for name, arm in arms.items()
+    }
+    return {name: gripper for name, gripper in found.items() if gripper is not None}
 
 
 def _name(text: str) -> str:

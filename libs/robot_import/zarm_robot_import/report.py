@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from zarm_robot_import.chain import Chain
 from zarm_robot_import.fitting import Fitted
@@ -32,33 +32,28 @@ class Report:
     notes: Sequence[str]
     seconds: float
     controller: str | None = None
-    gripper: ImportedGripper | None = None
+    grippers: Mapping[str, ImportedGripper] = field(default_factory=dict)
 
     @property
     def standing(self) -> list[tuple[str, float]]:
         """Joints outside of the arm that stand, and where."""
-        gripper = self.gripper
-        moving = () if gripper is None else (gripper.joint.name, *gripper.followers)
+        moving = {name for one in self.grippers.values() for name in (one.joint.name, *one.followers)}
         return [(name, value) for name, value in self.chain.fixed if name not in moving]
 
     def opening(self) -> str:
-        """What is known of the gripper, in a sentence."""
-        gripper = self.gripper
-        if gripper is None:
+        """What is known of the grippers, in a sentence for each."""
+        if not self.grippers:
             return "They stand fixed: they have several drives, or were fixed, or what they move does not open."
-        follow = f", followed by {', '.join(f'`{name}`' for name in gripper.followers)}" if gripper.followers else ""
-        return (
-            f"`{gripper.joint.name}` drives it{follow}; it opens from {1e3 * gripper.widths[0]:.0f} to {1e3 * gripper.widths[-1]:.0f} mm, "
-            f"measured between the meshes of {' and '.join(f'`{pad}`' for pad in gripper.pads)}."
-        )
+        return " ".join(map(_opening, self.grippers.values()))
 
     @property
     def gripper_in_short(self) -> str:
-        """The gripper's drive and how far it opens, or the joints that stand."""
-        gripper = self.gripper
-        if gripper is None:
+        """The drives of the grippers and how far they open, or the joints that stand."""
+        if not self.grippers:
             return f"{', '.join(self.chain.gripper)}, fixed"
-        return f"{gripper.joint.name}, opens {1e3 * gripper.widths[-1]:.0f} mm"
+        return "; ".join(
+            f"{gripper.joint.name}, opens {1e3 * gripper.widths[-1]:.0f} mm" for gripper in self.grippers.values()
+        )
 
     @property
     def warnings(self) -> list[str]:
@@ -99,11 +94,17 @@ class Report:
             "",
             f"![{self.name}]({self.name}.png)",
             "",
-            f"The chain leads from `{chain.base}` to `{chain.tip}` over {len(chain.joints)} joints. Home: "
+            f"The chain leads from `{chain.base}` to {' and '.join(f'`{tip}`' for tip in chain.tips)} over {len(chain.joints)} joints. Home: "
             f"{', '.join(f'{value:.2f}' for value in self.home)} rad.",
             "",
             f"The arm's joints: {', '.join(f'`{joint.name}`' for joint in chain.joints)}. {chain.reason}",
         ]
+        if chain.groups:
+            named = (
+                f"`{group.name}` moves `{group.tip}` with {', '.join(f'`{joint}`' for joint in group.joints)}"
+                for group in chain.groups
+            )
+            lines += ["", f"Groups: {'; '.join(named)}."]
         if chain.gripper:
             lines += ["", f"Taken as a gripper: {', '.join(f'`{name}`' for name in chain.gripper)}. {self.opening()}"]
         if self.standing:
@@ -156,6 +157,14 @@ class Report:
             for pair in self.pairs
         ]
         return "\n".join(lines) + "\n"
+
+
+def _opening(gripper: ImportedGripper) -> str:
+    follow = f", followed by {', '.join(f'`{name}`' for name in gripper.followers)}" if gripper.followers else ""
+    return (
+        f"`{gripper.joint.name}` drives it{follow}; it opens from {1e3 * gripper.widths[0]:.0f} to {1e3 * gripper.widths[-1]:.0f} mm, "
+        f"measured between the meshes of {' and '.join(f'`{pad}`' for pad in gripper.pads)}."
+    )
 
 
 def _counted(link: Fitted) -> str:

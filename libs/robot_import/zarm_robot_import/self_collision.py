@@ -61,7 +61,7 @@ class Pairs:
             one, other = self._contacts.body[first], self._contacts.body[second]
             if one == other:
                 continue
-            if other == one + 1:
+            if self._contacts.chain.parents[other - 1] == one:
                 found.append(Pair(first, second, True, "neighbours: they touch at their joint"))
             else:
                 found.append(self._marked(self._judge(first, second)))

@@ -7,7 +7,7 @@ import os
 import re
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,9 +29,13 @@ _WORDS = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
 
 
 def urdf_text(
-    robot: Description, chain: Chain, limits: Sequence[JointLimits], folder: Path, gripper: ImportedGripper | None
+    robot: Description,
+    chain: Chain,
+    limits: Sequence[JointLimits],
+    folder: Path,
+    grippers: Mapping[str, ImportedGripper],
 ) -> str:
-    """The arm as a URDF for a file in `folder`: its links as in the source; only its joints move, and those of its gripper."""
+    """The arm as a URDF for a file in `folder`: its links as in the source; only its joints move, and those of its grippers."""
     root = ET.Element("robot", name=robot.name)
     root.append(ET.Comment(f" Made by zarm robot import from {_shown(robot.source.path)}. "))
     for mounted in chain.mounted:
@@ -46,19 +50,21 @@ def urdf_text(
         link.tail = "\n"
         root.append(link)
     for index, (joint, limit) in enumerate(zip(chain.joints, limits, strict=True)):
-        element = _joint(joint.name, joint.type, chain.carriers[index], chain.carriers[index + 1], chain.origins[index])
+        carrier = chain.carriers[chain.parents[index]]
+        element = _joint(joint.name, joint.type, carrier, chain.carriers[index + 1], chain.origins[index])
         ET.SubElement(element, "axis", xyz=_numbers(joint.axis))
         effort = f"{joint.effort if joint.effort is not None else 0:g}"
         bounds = {} if joint.type == "continuous" else {"lower": f"{limit.lower:.9g}", "upper": f"{limit.upper:.9g}"}
         ET.SubElement(element, "limit", bounds | {"velocity": f"{limit.velocity:.9g}", "effort": effort})
         root.append(element)
     names = {joint.name for joint in chain.joints}
-    if gripper is not None:
+    for gripper in grippers.values():
         root.extend(_gripper_joints(robot, chain, gripper))
         names |= {element.get("name", "") for element in root.findall("joint")}
+    gripping = {link for gripper in grippers.values() for link in gripper.moving}
     for mounted in chain.mounted:
         carrier = chain.carriers[mounted.body]
-        if mounted.link != carrier and (gripper is None or mounted.link not in gripper.moving):
+        if mounted.link != carrier and mounted.link not in gripping:
             name = f"{mounted.link}_fixed"
             while name in names:
                 name += "_"
@@ -116,7 +122,7 @@ def descriptor_text(
     home: Sequence[float],
     pairs: Sequence[Pair],
     controller: str | None = None,
-    gripper: ImportedGripper | None = None,
+    grippers: Mapping[str, ImportedGripper] | None = None,
 ) -> str:
     """The descriptor. `controller` is the ros2_control trajectory controller that moves the arm."""
     assumed = sorted({what for limit in limits for what in limit.assumed})
@@ -129,6 +135,7 @@ def descriptor_text(
         f"base_link: {plain(chain.base)}",
         f"tip_link: {plain(chain.tip)}",
         f"joints: [{', '.join(plain(joint.name) for joint in chain.joints)}]",
+        *_groups(chain),
         "",
         "# Free, far from joint limits and singularities.",
         f"home: {_list(home)}",
@@ -144,7 +151,7 @@ def descriptor_text(
         "",
         "strategy: emulator",
         *(_driver(controller) if controller else ()),
-        *(_gripper(gripper) if gripper is not None else ()),
+        *(_grippers(grippers) if grippers else ()),
         "",
         "# Exact geometry: it contains the whole surface of the meshes.",
         "collision:",
@@ -175,13 +182,31 @@ def _driver(controller: str) -> list[str]:
     ]
 
 
-def _gripper(gripper: ImportedGripper) -> list[str]:
+def _groups(chain: Chain) -> list[str]:
+    if not chain.groups:
+        return []
+    lines = ["", "# What a plan may move while the other joints stand.", "groups:"]
+    for group in chain.groups:
+        joints = ", ".join(map(plain, group.joints))
+        lines.append(f"  {group.name}: {{tip_link: {plain(group.tip)}, joints: [{joints}]}}")
+    return lines
+
+
+def _grippers(grippers: Mapping[str, ImportedGripper]) -> list[str]:
     lines = [
         "",
         "# Behind the arm one joint moves fingers. The openings are measured between the meshes of the pads; correct them where the pads are",
         "# shaped, and state the speed (m/s) and force (N) of the gripper.",
         "grippers:",
-        "  gripper:",
+    ]
+    for name, gripper in grippers.items():
+        lines += _gripper(name, gripper)
+    return lines
+
+
+def _gripper(name: str, gripper: ImportedGripper) -> list[str]:
+    lines = [
+        f"  {name}:",
         f"    joint: {plain(gripper.joint.name)}",
         f"    positions: {_list(gripper.positions)}",
         f"    widths: {_list(gripper.widths)}",

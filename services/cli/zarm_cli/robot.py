@@ -59,7 +59,7 @@ def import_(
     geometry: Annotated[
         Geometry, typer.Option(help="auto: collision meshes, plus visual meshes that stick out of them.")
     ] = Geometry.auto,
-    spheres: Annotated[int, typer.Option(min=10, max=400, help="Spheres in the cover of the whole robot.")] = 80,
+    spheres: Annotated[int, typer.Option(min=10, max=400, help="Spheres in the cover of each arm.")] = 80,
     right_size: Annotated[
         list[str] | None, typer.Option(metavar="LINK", help="A link whose size is right, however large beside the arm.")
     ] = None,
@@ -95,7 +95,11 @@ def import_(
         links,
         "",
         facts(
-            ("robot", f"{report.name}, {len(report.chain.joints)} joints, {report.chain.base} to {report.chain.tip}"),
+            (
+                "robot",
+                f"{report.name}, {len(report.chain.joints)} joints, {report.chain.base} to {' and '.join(report.chain.tips)}",
+            ),
+            *([("groups", ", ".join(group.name for group in report.chain.groups))] if report.chain.groups else []),
             *([("gripper", report.gripper_in_short)] if report.chain.gripper else []),
             ("spheres", str(report.spheres)),
             ("home", f"{numbers(report.home, 2)} rad"),

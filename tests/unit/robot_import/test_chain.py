@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from zarm_contract.errors import InvalidRequest
-from zarm_robot_import.chain import choose_chain
+from zarm_robot_import.chain import Chain, choose_chain
 from zarm_robot_import.description import describe
 from zarm_robot_import.source import read_source
 
@@ -22,11 +22,15 @@ ARM: list[Row] = [(f"joint_{k}", f"link_{k}", f"link_{k + 1}") for k in range(5)
 
 
 def tip(folder: Path, joints: list[Row]) -> str:
+    return chain(folder, joints).tip
+
+
+def chain(folder: Path, joints: list[Row]) -> Chain:
     links = dict.fromkeys(name for _, *pair in joints for name in pair)
     text = "".join([*map(LINK.format, links), *(JOINT.format(*joint) for joint in joints)])
     file = folder / "arm.urdf"
     file.write_text(f'<robot name="arm">{text}</robot>')
-    return choose_chain(describe(read_source(file, ())), None, None).tip
+    return choose_chain(describe(read_source(file, ())), None, None)
 
 
 def finger(name: str, palm: str, count: int) -> list[Row]:
@@ -67,10 +71,41 @@ def test_a_last_joint_that_opens_to_one_side_may_be_a_jaw_so_it_is_asked(
     assert [joint.name for joint in choose_chain(robot, names=names).joints] == names
 
 
-def test_of_two_arms_with_hands_the_tips_of_the_arms_are_offered_and_not_their_fingers(tmp_path: Path) -> None:
+def test_two_arms_with_hands_are_a_group_each_and_their_fingers_are_none(tmp_path: Path) -> None:
     arms = [(f"{side}_{name}", f"{side}_{parent}", f"{side}_{child}") for side in "lr" for name, parent, child in ARM]
     mounts = [(f"{side}_mount", "torso", f"{side}_link_0") for side in "lr"]
     fingers = [(f"{side}_finger_{k}", f"{side}_link_5", f"{side}_finger_{k}") for side in "lr" for k in range(2)]
     head = [("pan", "torso", "neck"), ("tilt", "neck", "head")]
-    with pytest.raises(InvalidRequest, match=r"start at torso; choose one: --tip l_link_5, --tip r_link_5$"):
-        tip(tmp_path, [*mounts, *arms, *fingers, *head])
+    tree = chain(tmp_path, [*mounts, *arms, *fingers, *head])
+    assert [(group.name, group.tip) for group in tree.groups] == [("l", "l_link_5"), ("r", "r_link_5")]
+    assert tree.tips == ("l_link_5", "r_link_5")
+    assert [tree.carriers[parent] for parent in tree.parents[:2]] == ["torso", "l_link_0"]
+    assert tree.carriers[tree.parents[6]] == "torso"
+    assert {name for name, _ in tree.fixed} == {"pan", "tilt", *(name for name, *_ in fingers)}
+
+
+def test_joints_that_carry_both_arms_are_a_group_too(tmp_path: Path) -> None:
+    arms = [
+        (f"{side}_{name}", f"{side}_{parent}", f"{side}_{child}")
+        for side in ("left", "right")
+        for name, parent, child in ARM
+    ]
+    mounts = [(f"{side}_mount", "chest", f"{side}_link_0") for side in ("left", "right")]
+    tree = chain(tmp_path, [("lift", "base", "column"), ("waist", "column", "chest"), *mounts, *arms])
+    assert [group.name for group in tree.groups] == ["left", "right", "torso", "torso+left", "torso+right"]
+    joints = {group.name: group.joints for group in tree.groups}
+    assert joints["torso"] == ("lift", "waist")
+    assert joints["torso+left"] == ("lift", "waist", *joints["left"])
+    assert [joint.name for joint in tree.joints] == [*joints["torso+left"], *joints["right"]]
+
+
+def test_arms_whose_names_say_nothing_are_numbered(tmp_path: Path) -> None:
+    rows = [(f"{one}{k}", "base" if k == 0 else f"{one}_{k}", f"{one}_{k + 1}") for one in "ab" for k in range(5)]
+    tree = chain(tmp_path, [(name.replace("a", "q").replace("b", "q1"), *pair) for name, *pair in rows])
+    assert [group.name for group in tree.groups] == ["arm_1", "arm_2"]
+
+
+def test_arms_with_more_joints_than_a_robot_may_have_are_offered_one_by_one(tmp_path: Path) -> None:
+    arms = [row for number in range(4) for row in finger(f"arm{number}", "base", 9)]
+    with pytest.raises(InvalidRequest, match=r"several chains start at base; choose one: --tip arm0_8, --tip arm1_8"):
+        chain(tmp_path, arms)
