@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from support.paths import ROOT
 from support.planner.small_arm import small_arm
 from zarm_robot_import.composing import compose
 
-TWO_PANDAS = """
-name: pandas
-base_link: table
-parts:
-  left: {robot: panda, xyz: [0.0, 0.3, 0.0]}
-  right: {robot: panda, xyz: [0.0, -0.3, 0.0]}
-"""
+TWO_PANDAS = (ROOT / "examples" / "two_pandas.yaml").read_text()
 
 TORSO = """
 name: torso_arms

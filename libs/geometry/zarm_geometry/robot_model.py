@@ -50,7 +50,7 @@ class RobotModel:
     joint that carries each, -1 for the base. `pairs` (n, 2) are the indices of those that can collide with each other:
     all except pairs that may touch, or belong to the same rigid body. `parts` are the exact shapes, each with the index
     of the link in whose frame it is. `tip_joint` is the joint that carries the tip. The model of a group belongs to that
-    of the `whole` robot.
+    of the `whole` robot, and one with attached objects to that `without` them.
     """
 
     robot: RobotDescription
@@ -71,6 +71,7 @@ class RobotModel:
     arrays: RobotArrays
     tip_joint: int
     whole: Whole | None
+    without: RobotModel | None
 
     @classmethod
     def of(cls, robot: RobotDescription) -> Self:
@@ -110,7 +111,7 @@ class RobotModel:
             return self
         bodies = [body for body in self._at(openings) if body.name not in ignored_links]
         bodies += [attached_body(item, *self.mount(self.carrier(item))) for item in attached]
-        return self._packed(self.robot, self.tree, (self.tip_joint, self.offset[-1]), bodies)
+        return self._packed(self.robot, self.tree, (self.tip_joint, self.offset[-1]), bodies, without=self)
 
     def carrier(self, item: Attached) -> str:
         """The link to which an object is attached."""
@@ -171,7 +172,13 @@ class RobotModel:
 
     @classmethod
     def _packed(
-        cls, robot: RobotDescription, tree: JointTree, tip: Place, bodies: Sequence[Body], whole: Whole | None = None
+        cls,
+        robot: RobotDescription,
+        tree: JointTree,
+        tip: Place,
+        bodies: Sequence[Body],
+        whole: Whole | None = None,
+        without: RobotModel | None = None,
     ) -> Self:
         """The model of a robot with these bodies."""
         descriptor = robot.descriptor
@@ -219,6 +226,7 @@ class RobotModel:
             ),
             tip_joint=tip[0],
             whole=whole,
+            without=without,
         )
 
     def with_self_margin(self, margin: float) -> Self:
@@ -247,16 +255,37 @@ class RobotModel:
         """The distance (n,) in m that each pair of links in `arrays.pairs` can be required to keep, see
         `self_margin.pair_room`.
         """
-        if self.whole is not None:
-            return self._room_of_whole(self.whole.model)
-        q = np.random.default_rng(0).uniform(*self.range_about(np.zeros(self.dof)), (CONFIGURATIONS, self.dof))
-        return pair_room(self.bodies, self.link_transforms(q), self.arrays.pairs)
+        names = self._searched_pairs
+        known = self._known_room()
+        missing = [k for k, name in enumerate(names) if name not in known]
+        if missing:
+            q = np.random.default_rng(0).uniform(*self.range_about(np.zeros(self.dof)), (CONFIGURATIONS, self.dof))
+            measured = pair_room(self.bodies, self.link_transforms(q), self.arrays.pairs[missing])
+            known |= dict(zip((names[k] for k in missing), measured.tolist(), strict=True))
+        return np.array([known[name] for name in names])
 
-    def _room_of_whole(self, whole: RobotModel) -> Array:
-        """`pair_room` as in the whole robot, whose other joints move too."""
-        names = [frozenset((whole.links[i], whole.links[j])) for i, j in whole.arrays.pairs.tolist()]
-        known = dict(zip(names, whole.pair_room.tolist(), strict=True))
-        return np.array([known[frozenset((self.links[i], self.links[j]))] for i, j in self.arrays.pairs.tolist()])
+    def _known_room(self) -> dict[frozenset[str], float]:
+        """`pair_room` of the pairs of which it is known: for a group as in the whole robot, whose other joints move too, and with what is
+        attached as without it.
+        """
+        model = self.without if self.whole is None else self.whole.model
+        if model is None:
+            return {}
+        known = dict(zip(model._searched_pairs, model.pair_room.tolist(), strict=True))
+        if self.whole is not None:
+            return known
+        return {pair: room for pair, room in known.items() if pair <= self._unchanged}
+
+    @property
+    def _unchanged(self) -> set[str]:
+        """The bodies that are as they are `without` what is attached."""
+        there = {id(body) for body in self.without.bodies} if self.without is not None else set()
+        return {body.name for body in self.bodies if id(body) in there}
+
+    @cached_property
+    def _searched_pairs(self) -> list[frozenset[str]]:
+        """The names of the links of `arrays.pairs`."""
+        return [frozenset((self.links[i], self.links[j])) for i, j in self.arrays.pairs.tolist()]
 
     @cached_property
     def _covers(self) -> dict[str, tuple[Array, Array]]:
@@ -264,7 +293,12 @@ class RobotModel:
         if self.whole is not None:
             return self.whole.model._covers
         covers = {}
+        if self.without is not None:
+            same = self._unchanged
+            covers = {name: cover for name, cover in self.without._covers.items() if name in same}
         for body in self.bodies:
+            if body.name in covers:
+                continue
             balls = np.concatenate([np.empty((0, 4)), *(sphere_cover(shape, _COVER) for shape in body.shapes)])
             covers[body.name] = balls, bounding_ball(balls) if len(balls) else np.zeros(4)
         return covers

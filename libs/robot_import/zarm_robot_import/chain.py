@@ -202,15 +202,13 @@ def _tree(robot: Description, base: str, tips: Sequence[str], positions: dict[st
 
 def _group_names(joints: Sequence[Sequence[str]]) -> list[str]:
     """A name for each arm: the first word that all its joints have and those of the others have not, or its number."""
-    words = [[re.findall(r"[a-z][a-z0-9]*", name.lower()) for name in own] for own in joints]
-    common = [[word for word in own[0] if all(word in each for each in own)] for own in words]
+    words = [[re.findall(r"[a-z]+", name.lower()) for name in own] for own in joints]
     names = []
-    for number, each in enumerate(common):
-        others = {word for other, own in enumerate(words) if other != number for name in own for word in name}
-        names.append(next((word for word in each if word not in others), f"arm_{number + 1}"))
-    return (
-        names if len(set(names)) == len(names) and "torso" not in names else [f"arm_{k + 1}" for k in range(len(names))]
-    )
+    for number, own in enumerate(words):
+        others = {word for other in words if other is not own for name in other for word in name}
+        common = (word for word in own[0] if word not in others and all(word in name for name in own))
+        names.append(next(common, f"arm_{number + 1}"))
+    return names if "torso" not in names else [f"arm_{number + 1}" for number in range(len(names))]
 
 
 def _check_joints(robot: Description, joints: Sequence[Joint]) -> None:

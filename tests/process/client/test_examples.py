@@ -31,8 +31,8 @@ SAYS = {
     "12_pick_from_bin": "the part stands at 0.5",
     "13_wipe_table": "% of the way\nsucceeded",
 }
-WITH_GRIPPER = "14_pick_and_place"
-"""Takes a robot with a gripper: `test_pick_and_place` runs it."""
+ELSEWHERE = ("14_pick_and_place", "15_hand_over")
+"""Take robots of their own: `test_pick_and_place` and `test_two_arms` run them."""
 """What is in the output of each, besides success."""
 OF_ITS_OWN = "09_two_robots"
 """Takes a `zarm up`."""
@@ -42,7 +42,7 @@ QUICK = ("01_plan", "10_stream")
 
 def test_there_is_a_promise_for_each_and_the_readme_lists_it() -> None:
     names = sorted(file.stem for file in EXAMPLES.glob("*.py"))
-    assert names == sorted([*SAYS, WITH_GRIPPER])
+    assert names == sorted([*SAYS, *ELSEWHERE])
     readme = (EXAMPLES / "README.md").read_text()
     assert [name for name in names if f"`{name}.py`" not in readme] == []
 

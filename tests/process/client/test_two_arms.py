@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 
@@ -12,7 +15,8 @@ import pytest
 import zarm
 from support.command_line import zarm as zarm_cli
 from support.composed import two_pandas
-from support.harness import ServiceProcess, eventually, router
+from support.harness import PATIENCE, ServiceProcess, eventually, router
+from support.paths import ROOT
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
 from zarm_runtime.bus import Bus
@@ -76,37 +80,20 @@ def test_both_arms_move_at_once(robot: zarm.Robot) -> None:
     assert robot.tip("right").position == pytest.approx((0.4, -0.3, 0.3), abs=1e-3)
 
 
-def test_one_arm_hands_an_object_over_to_the_other(robot: zarm.Robot) -> None:
-    """The right one takes a bar, carries it to the middle, and the left one takes it there and lets the right one go."""
-    bar = zarm.Cuboid("bar", size=(0.03, 0.3, 0.03), position=(0.5, -0.3, 0.1))
-    robot.scene.add(bar)
-    middle, apart = 0.4, 0.11
-    grasp = zarm.PoseGoal(
-        zarm.Pose((0.5, -0.3 - apart, 0.1), DOWN), approach=zarm.Offset(0.1, (0, 0, 1), touch=("bar",))
+def test_one_arm_hands_a_bar_over_to_the_other(cell: Cell, robot: zarm.Robot) -> None:
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("ZARM_")}
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "examples" / "15_hand_over.py")],
+        env=environment | {"ZARM_CONNECT": cell.endpoint},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
     )
-    held = {
-        side: tuple(f"{side}_panda_{name}" for name in ("leftfinger", "rightfinger", "hand"))
-        for side in ("left", "right")
-    }
-    take = zarm.PoseGoal(zarm.Pose((0.5, apart, middle), DOWN), approach=zarm.Offset(0.1, (0, 0, 1), touch=("bar",)))
-    program = [
-        zarm.Move(grasp, group="right", touch=("bar",)),
-        zarm.Grip(0.03, gripper="right_hand"),
-        zarm.Attach("bar", held["right"], link="right_panda_hand"),
-        zarm.Move(zarm.Pose((0.5, -apart, middle), DOWN), group="right"),
-        zarm.Detach("bar"),
-        zarm.Move(take, group="left", touch=("bar",)),
-        zarm.Grip(0.03, gripper="left_hand"),
-        zarm.Attach("bar", (*held["left"], *held["right"]), link="left_panda_hand"),
-        zarm.Grip(0.08, gripper="right_hand"),
-        zarm.Move(zarm.Line(zarm.Pose((0.5, -apart, middle + 0.12), DOWN)), group="right"),
-    ]
-    robot.execute(robot.plan_program(program))
-    (attached,) = robot.scene.attached().values()
-    assert attached.link == "left_panda_hand"
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "left_panda_hand holds the bar\n"
     robot.scene.detach("bar")
-    x, y, z = robot.scene.objects()["bar"].position  # type: ignore[union-attr]
-    assert (x, y, z) == pytest.approx((0.5, 0.0, middle), abs=2e-3)
+    bar = robot.scene.objects()["bar"]
+    assert bar.position == pytest.approx((0.45, 0.3 - 0.11, 0.4), abs=3e-3)  # type: ignore[union-attr]
 
 
 def test_the_servo_holds_an_arm_before_what_appears_in_its_way(robot: zarm.Robot) -> None:

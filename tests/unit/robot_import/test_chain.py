@@ -100,9 +100,12 @@ def test_joints_that_carry_both_arms_are_a_group_too(tmp_path: Path) -> None:
 
 
 def test_arms_whose_names_say_nothing_are_numbered(tmp_path: Path) -> None:
-    rows = [(f"{one}{k}", "base" if k == 0 else f"{one}_{k}", f"{one}_{k + 1}") for one in "ab" for k in range(5)]
-    tree = chain(tmp_path, [(name.replace("a", "q").replace("b", "q1"), *pair) for name, *pair in rows])
-    assert [group.name for group in tree.groups] == ["arm_1", "arm_2"]
+    rows = [
+        (f"q{9 * arm + k}", f"link_{arm}_{k}" if k else "base", f"link_{arm}_{k + 1}")
+        for arm in (1, 2)
+        for k in range(5)
+    ]
+    assert [group.name for group in chain(tmp_path, rows).groups] == ["arm_1", "arm_2"]
 
 
 def test_arms_with_more_joints_than_a_robot_may_have_are_offered_one_by_one(tmp_path: Path) -> None:

@@ -198,12 +198,11 @@ def test_a_low_velocity_is_kept(tmp_path: Path) -> None:
     assert limits.jerk > 0.0
 
 
-def test_of_several_arms_one_must_be_chosen(tmp_path: Path) -> None:
+def test_of_several_arms_one_may_be_chosen(tmp_path: Path) -> None:
     arms = [joint(f"{side}{i}", "a" if i == 0 else f"{side}{i - 1}", f"{side}{i}") for side in "lr" for i in range(5)]
     links = "".join(f'<link name="{side}{i}"/>' for side in "lr" for i in range(5))
     text = f'<robot name="two"><link name="a"/>{links}{"".join(arms)}</robot>'
-    with pytest.raises(InvalidRequest, match="--tip l4, --tip r4"):
-        imported(tmp_path, text)
+    assert [(group.name, group.tip) for group in imported(tmp_path, text).groups] == [("l", "l4"), ("r", "r4")]
     assert [one.name for one in imported(tmp_path, text, tip="r4").joints] == [f"r{i}" for i in range(5)]
 
 
