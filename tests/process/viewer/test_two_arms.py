@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import ExitStack
 
@@ -24,14 +25,16 @@ class Cell:
 
     def __init__(self, stack: ExitStack, tmp_path_factory: pytest.TempPathFactory) -> None:
         folder, robot = tmp_path_factory.mktemp("cell"), str(two_pandas(tmp_path_factory.mktemp("robot")))
-        endpoint, listen = stack.enter_context(router()), f"127.0.0.1:{free_port()}"
+        endpoint = stack.enter_context(router())
         bus = stack.enter_context(Bus(endpoint))
-        for service in ("planner", "executor", "servo", "viewer"):
-            arguments = ("--listen", listen) if service == "viewer" else ()
-            process = ServiceProcess(service, endpoint, folder, robot, arguments=arguments)
+        for service in ("planner", "executor", "servo"):
+            process = ServiceProcess(service, endpoint, folder, robot)
             stack.enter_context(process).wait_ready(bus, Keys("pandas"))
         self.robot = stack.enter_context(zarm.connect(endpoint))
-        self.address = f"http://{listen}"
+        arguments = ("--listen", f"127.0.0.1:{free_port()}")
+        viewer = stack.enter_context(ServiceProcess("viewer", endpoint, folder, robot, arguments=arguments))
+        served = eventually(lambda: re.search(r"^http://\S+$", viewer.output(), re.MULTILINE), "the page is served")
+        self.address = served[0]
 
     def joints(self) -> np.ndarray:  # type: ignore[type-arg]
         return np.array(self.robot.joint_state().position)
