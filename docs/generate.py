@@ -19,6 +19,8 @@ from pydantic import BaseModel, TypeAdapter
 import zarm
 from zarm_cli.commands import command_line
 from zarm_contract import messages as every_message
+from zarm_contract.collision import CollisionCapsule, CollisionCuboid, CollisionCylinder, CollisionSphere
+from zarm_contract.descriptor import CSpace, ExecutionSettings, RobotDescriptor, StrategyParams, ToolSpeeds
 from zarm_contract.errors import MEANINGS, Problem, ZarmError
 from zarm_contract.gripper import Gripper
 from zarm_contract.group import JointGroup
@@ -38,17 +40,6 @@ from zarm_contract.messages import (
     scene,
     service,
     servo,
-)
-from zarm_contract.robot import (
-    CollisionCapsule,
-    CollisionCuboid,
-    CollisionCylinder,
-    CollisionSphere,
-    CSpace,
-    ExecutionSettings,
-    RobotDescriptor,
-    StrategyParams,
-    ToolSpeeds,
 )
 from zarm_contract.roles import EVERYONE, SERVICE_ROLES
 from zarm_executor.transitions import MODES, TRANSITIONS

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import yaml
 
-from zarm_contract.robot import ROBOTS, CollisionCuboid
+from zarm_contract.collision import CollisionCuboid
+from zarm_contract.robot import ROBOTS
 from zarm_geometry.shapes import link_shape
 from zarm_geometry.sphere_cover import sphere_cover
 

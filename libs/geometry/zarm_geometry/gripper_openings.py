@@ -7,9 +7,9 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from zarm_contract import messages
+from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import GripperOpening, GripperState
-from zarm_contract.robot import RobotDescriptor
 from zarm_geometry.robot_model import Openings
 
 _DECIMALS = 3

@@ -11,7 +11,7 @@ import fcl
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_contract.robot import CollisionCuboid, CollisionCylinder, CollisionPrimitive, CollisionSphere
+from zarm_contract.collision import CollisionCuboid, CollisionCylinder, CollisionPrimitive, CollisionSphere
 from zarm_geometry.frames import matrix, rotation_to
 
 Array = NDArray[np.float64]

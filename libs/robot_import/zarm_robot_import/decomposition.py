@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_contract.robot import CollisionPrimitive
+from zarm_contract.collision import CollisionPrimitive
 from zarm_robot_import.body import Body
 from zarm_robot_import.cells import piece
 from zarm_robot_import.cutting import halves

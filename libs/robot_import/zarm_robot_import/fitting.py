@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_contract.robot import CollisionPrimitive
+from zarm_contract.collision import CollisionPrimitive
 from zarm_robot_import.body import Body
 from zarm_robot_import.decomposition import fit_primitives
 from zarm_robot_import.meshes import Surface

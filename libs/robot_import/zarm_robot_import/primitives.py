@@ -11,7 +11,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from zarm_contract.robot import (
+from zarm_contract.collision import (
     CollisionCapsule,
     CollisionCuboid,
     CollisionCylinder,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from zarm_contract.robot import CollisionPrimitive
+from zarm_contract.collision import CollisionPrimitive
 from zarm_robot_import.chain import Chain
 from zarm_robot_import.description import Description
 from zarm_robot_import.fitting import Fitted

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from zarm_contract.descriptor import ExecutionSettings
 from zarm_contract.errors import ExecutionRefused, InvalidRequest
 from zarm_contract.messages import Trajectory
-from zarm_contract.robot import ExecutionSettings, RobotDescription
+from zarm_contract.robot import RobotDescription
 from zarm_executor.strategies.base import Measured
 from zarm_trajectory.limits import POSITION_TOLERANCE, Limits
 from zarm_trajectory.quintic import Array

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
+from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.errors import Problem
 from zarm_contract.messages import Authority, Hold, Obstruction, SceneRevision
-from zarm_contract.robot import RobotDescriptor
 from zarm_trajectory.follower import Follower
 from zarm_trajectory.path_state import PathState
 from zarm_trajectory.rate_bounds import RateLimits

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.errors import ExecutionFailed, Problem
-from zarm_contract.robot import RobotDescriptor
 from zarm_executor.strategies.base import Measured, Progress
 from zarm_trajectory.follower import CATCH_UP
 from zarm_trajectory.quintic import Array

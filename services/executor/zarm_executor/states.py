@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from zarm_contract.descriptor import FaultPolicy
 from zarm_contract.errors import ExecutionFailed, Problem
 from zarm_contract.messages import GoalStatus, Hold, RobotMode
-from zarm_contract.robot import FaultPolicy
 from zarm_executor.monitor import NotStopped
 
 

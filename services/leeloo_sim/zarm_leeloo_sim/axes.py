@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from zarm_contract.robot import RobotDescriptor
+from zarm_contract.descriptor import RobotDescriptor
 
 HUMBLE_ORDER = (0, 1, 3, 4, 2, 5)
 """The order in which ROS 2 Humble reports the M1013's joints: 1, 2, 4, 5, 3, 6."""

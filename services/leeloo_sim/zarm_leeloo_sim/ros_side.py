@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float32
 from trajectory_msgs.msg import JointTrajectory
 
-from zarm_contract.robot import StrategyParams
+from zarm_contract.descriptor import StrategyParams
 from zarm_leeloo_sim.axes import Axes
 from zarm_leeloo_sim.driver import Command, PlaybackProgress
 from zarm_leeloo_sim.player import Array

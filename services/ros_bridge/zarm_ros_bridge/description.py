@@ -6,15 +6,15 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 
-from zarm_contract.messages import Quaternion, Vector3
-from zarm_contract.robot import (
+from zarm_contract.collision import (
     CollisionCapsule,
     CollisionCuboid,
     CollisionCylinder,
     CollisionPrimitive,
     CollisionSphere,
-    RobotDescription,
 )
+from zarm_contract.messages import Quaternion, Vector3
+from zarm_contract.robot import RobotDescription
 
 
 def shown_description(robot: RobotDescription) -> str:

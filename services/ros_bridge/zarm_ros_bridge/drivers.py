@@ -14,9 +14,9 @@ from sensor_msgs.msg import JointState as RosJointState
 from std_msgs.msg import Float32, Float64
 from trajectory_msgs.msg import JointTrajectory
 
+from zarm_contract.descriptor import StrategyParams
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import DriverCommand, DriverProgress, DriverSpeed, ExecutorState
-from zarm_contract.robot import StrategyParams
 from zarm_ros_bridge.answers import shortened
 from zarm_ros_bridge.controller_action import ControllerAction
 from zarm_ros_bridge.convert.driver_joints import DriverJointStates

@@ -19,9 +19,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Int8, String
 
 from zarm.servoing import Jogging, Tracking, limited
+from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.errors import Cancelled, ZarmError
 from zarm_contract.messages import ServoSession
-from zarm_contract.robot import RobotDescriptor
 from zarm_ros_bridge.convert.servo_commands import (
     INVALID,
     NO_WARNING,

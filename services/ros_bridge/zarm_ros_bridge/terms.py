@@ -7,9 +7,9 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from zarm.interrupts import CtrlC
+from zarm_contract.descriptor import StrategyParams
 from zarm_contract.errors import ZarmError, from_problem
 from zarm_contract.keys import Keys
-from zarm_contract.robot import StrategyParams
 
 T = TypeVar("T")
 

@@ -10,8 +10,10 @@ from typing import Self, cast
 
 import yaml
 
+from zarm_contract.collision import CollisionSphere
+from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.robot import CollisionSphere, RobotDescription, RobotDescriptor, load_robot
+from zarm_contract.robot import RobotDescription, load_robot
 
 Pair = tuple[str, str]
 

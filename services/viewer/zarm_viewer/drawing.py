@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from viser import MeshHandle, SceneNodeHandle
 from viser.transforms import SE3
 
+from zarm_contract.collision import CollisionCapsule, CollisionCuboid, CollisionCylinder, CollisionPrimitive
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, Mesh, SceneObject, Sphere, Voxels
-from zarm_contract.robot import CollisionCapsule, CollisionCuboid, CollisionCylinder, CollisionPrimitive
 from zarm_geometry import mesh_files
 from zarm_viewer.kinematics import pose_of
 

@@ -14,8 +14,9 @@ import viser
 from viser import GuiEvent, Icon, MeshHandle, TransformControlsEvent, TransformControlsHandle
 from viser.transforms import SE3
 
+from zarm_contract.collision import CollisionSphere
 from zarm_contract.errors import ZarmError
-from zarm_contract.robot import CollisionSphere, RobotDescription, load_robot
+from zarm_contract.robot import RobotDescription, load_robot
 from zarm_runtime import signals
 from zarm_runtime.logs import setup_logging
 from zarm_viewer.arm import SPHERES, Arm

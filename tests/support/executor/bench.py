@@ -9,9 +9,9 @@ import numpy as np
 
 from support.arrivals import arrival
 from support.trajectories import HOME, RATE_LIMITS, ROBOT, moved, rest_to_rest
+from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import GoalState
-from zarm_contract.robot import RobotDescriptor
 from zarm_executor.goal import Chunk, Goal
 from zarm_executor.guard import Guard
 from zarm_executor.machine import Machine

@@ -16,9 +16,10 @@ from support.arrivals import arrival
 from support.executor.waves import chunk
 from support.harness import eventually
 from support.trajectories import HOME, KEYS, ROBOT, moved, rest_to_rest
+from zarm_contract.descriptor import StrategyParams
 from zarm_contract.key import Published
 from zarm_contract.messages import DriverCommand, DriverProgress, GoalState, JointState, Trajectory
-from zarm_contract.robot import RobotDescription, StrategyParams
+from zarm_contract.robot import RobotDescription
 from zarm_executor.goal import Chunk, Goal
 from zarm_executor.guard import Guard
 from zarm_executor.machine import Machine

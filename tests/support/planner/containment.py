@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zarm_contract.robot import CollisionCapsule, CollisionPrimitive, CollisionSphere
+from zarm_contract.collision import CollisionCapsule, CollisionPrimitive, CollisionSphere
 
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 

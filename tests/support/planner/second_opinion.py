@@ -13,8 +13,9 @@ import fcl
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from zarm_contract.collision import CollisionCapsule, CollisionCuboid, CollisionPrimitive, CollisionSphere
 from zarm_contract.messages import Attached, Cuboid, Cylinder, Quaternion, SceneObject, Sphere
-from zarm_contract.robot import CollisionCapsule, CollisionCuboid, CollisionPrimitive, CollisionSphere, RobotDescription
+from zarm_contract.robot import RobotDescription
 from zarm_contract.urdf import Joint
 
 Array = NDArray[np.float64]

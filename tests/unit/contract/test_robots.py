@@ -13,7 +13,8 @@ import pytest
 from support.paths import SHARED
 from support.planner.containment import contains
 from support.tiers import sampled
-from zarm_contract.robot import ROBOTS, CollisionCapsule, CollisionSphere, RobotDescription, load_robot
+from zarm_contract.collision import CollisionCapsule, CollisionSphere
+from zarm_contract.robot import ROBOTS, RobotDescription, load_robot
 from zarm_contract.urdf import Urdf
 
 NAMES = ("doosan_m1013", "panda", "ur10e", "ur5e")

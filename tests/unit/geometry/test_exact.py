@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from support.examples import examples
 from support.planner.small_arm import small_arm
+from zarm_contract.collision import CollisionCuboid, CollisionPrimitive, CollisionSphere
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, SceneObject, Sphere
-from zarm_contract.robot import CollisionCuboid, CollisionPrimitive, CollisionSphere, load_robot
+from zarm_contract.robot import load_robot
 from zarm_geometry.exact import FARTHEST, ExactScene, robot_parts, subjects
 from zarm_geometry.frames import matrix, rotation_to
 from zarm_geometry.robot_model import RobotModel

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from support.planner.sphere_model import distance as gap_to
 from support.planner.sphere_model import random_objects
-from zarm_contract.robot import CollisionCuboid, CollisionCylinder
+from zarm_contract.collision import CollisionCuboid, CollisionCylinder
 from zarm_geometry import rows
 from zarm_geometry.kernels.arrays import Single
 from zarm_geometry.kernels.collision import squared_distance

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from zarm_contract.robot import CollisionSphere
+from zarm_contract.collision import CollisionSphere
 from zarm_robot_import.chain import choose_chain
 from zarm_robot_import.contacts import Contacts
 from zarm_robot_import.description import describe

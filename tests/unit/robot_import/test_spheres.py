@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from zarm_contract.robot import CollisionCapsule, CollisionCuboid, CollisionCylinder, CollisionPrimitive
+from zarm_contract.collision import CollisionCapsule, CollisionCuboid, CollisionCylinder, CollisionPrimitive
 from zarm_robot_import.primitives import rows_of, triangles_of
 from zarm_robot_import.spheres import ball_rows, fit_covers, protrusion
 

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from zarm_contract.collision import CollisionSphere
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.robot import ROBOTS, CollisionSphere, RobotDescription, load_robot
+from zarm_contract.robot import ROBOTS, RobotDescription, load_robot
 from zarm_viewer.corrections import Corrections
 
 

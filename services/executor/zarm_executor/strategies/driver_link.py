@@ -7,10 +7,11 @@ import time
 
 import numpy as np
 
+from zarm_contract.descriptor import StrategyParams
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand
-from zarm_contract.robot import RobotDescription, StrategyParams
+from zarm_contract.robot import RobotDescription
 from zarm_executor.strategies.base import Measured
 from zarm_runtime.bus import Bus
 from zarm_trajectory.quintic import Array

@@ -7,9 +7,9 @@ import time
 
 import numpy as np
 
+from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointState
-from zarm_contract.robot import RobotDescriptor
 from zarm_executor.loop import Loop
 from zarm_executor.strategies.base import Measured, Progress, Steerable
 from zarm_runtime.state_file import StateFile

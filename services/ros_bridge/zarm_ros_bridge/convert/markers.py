@@ -11,8 +11,8 @@ from geometry_msgs.msg import Point, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, Mesh, Scene, SceneObject, Sphere, Voxels
-from zarm_contract.robot import RobotDescriptor
 from zarm_ros_bridge.convert.colours import Colour
 
 OBSTACLE: Colour = (0.8, 0.5, 0.2, 0.8)

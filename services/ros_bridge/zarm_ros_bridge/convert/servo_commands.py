@@ -10,10 +10,10 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from numpy.typing import NDArray
 
 from zarm.servoing import Jogging, Tracking
+from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Vector3
 from zarm_contract.messages.servo import Limiting
-from zarm_contract.robot import RobotDescriptor
 from zarm_geometry.frames import matrix
 from zarm_geometry.frames import pose_of as placed_at
 from zarm_ros_bridge.convert.fields import finite

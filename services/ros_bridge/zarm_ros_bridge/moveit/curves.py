@@ -8,6 +8,7 @@ from typing import Any
 
 from moveit_msgs.msg import MoveItErrorCodes as Val
 
+from zarm_contract.descriptor import ToolSpeeds
 from zarm_contract.messages import (
     ArcGoal,
     CartesianGoal,
@@ -17,7 +18,6 @@ from zarm_contract.messages import (
     Pose,
     TipFrame,
 )
-from zarm_contract.robot import ToolSpeeds
 from zarm_geometry.frames import pose_of
 from zarm_ros_bridge.convert.poses import pose_of as ros_pose_of
 from zarm_ros_bridge.engine import Engine

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
+from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.errors import Problem, ZarmError
 from zarm_contract.messages import (
     Authority,
@@ -19,7 +20,6 @@ from zarm_contract.messages import (
     ServoSession,
     ServoState,
 )
-from zarm_contract.robot import RobotDescriptor
 from zarm_runtime.bus import LatchedPublisher, Publisher
 from zarm_runtime.metrics import Metrics
 from zarm_servo.guarding.stopping import StoppingTime, reaction

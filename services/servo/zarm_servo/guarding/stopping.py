@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from zarm_contract.robot import RobotDescriptor
+from zarm_contract.descriptor import RobotDescriptor
 from zarm_trajectory.follower import Follower
 from zarm_trajectory.path_state import PathState
 from zarm_trajectory.rate_bounds import RateLimits

@@ -10,9 +10,9 @@ from contextlib import contextmanager
 
 from pydantic import TypeAdapter, ValidationError
 
+from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.keys import Keys
 from zarm_contract.messages import ExecutorState, GoalState, GoalTrajectory, JointState, Message, SceneObject
-from zarm_contract.robot import RobotDescriptor
 from zarm_geometry.gripper_openings import GripperOpenings
 from zarm_geometry.meshes import Meshes
 from zarm_runtime.bus import Bus, Latest
