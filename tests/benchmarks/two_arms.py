@@ -123,7 +123,7 @@ def measured(robot: str, apart: float, count: int, seed: int) -> list[str]:
             trajectory = TimedTrajectory.of(plan.trajectory, model.robot.descriptor.joints)
             dense = trajectory.positions(np.linspace(0.0, trajectory.duration, 500))
             faults["contact"] += exact.nearest(dense).distance <= 0.0
-            reached = trajectory.position[-1]
+            reached = np.clip(trajectory.position[-1], model.lower, model.upper)  # a plan is rounded
             run = ompl_peer.plan(model, world, start, reached[None], OMPL_TIMEOUT, edges=True)
             if run is not None:
                 peer.append(run.search + run.shortcut)
