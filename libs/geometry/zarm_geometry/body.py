@@ -58,13 +58,13 @@ class Body:
         return np.column_stack((balls[:, :3] @ self.pose[:3, :3].T + self.pose[:3, 3], balls[:, 3]))
 
 
-def link_body(robot: RobotDescription, link: str, standing: Mapping[str, float]) -> Body:
+def link_body(robot: RobotDescription, link: str, grippers: Mapping[str, float]) -> Body:
     """A link of the descriptor as a body; it may touch the links paired with it in `self_collision_ignore`.
 
-    `standing` are the positions of joints that are not among the robot's: those of grippers, and of other groups.
+    `grippers` are the positions of the grippers' joints.
     """
     descriptor = robot.descriptor
-    passed, pose = along(robot.urdf.chain(descriptor.base_link, link), standing)
+    passed, pose = along(robot.urdf.chain(descriptor.base_link, link), grippers)
     beside = [set(pair) for pair in descriptor.self_collision_ignore if link in pair]
     balls = np.array([[*ball.center, ball.radius] for ball in descriptor.spheres[link]])
     return Body(

@@ -247,7 +247,7 @@ def test_what_is_no_motion_is_refused(times: list[float], positions: list[Array]
         MotionCheck(model("doosan_m1013")).check(times, positions, margin=MARGIN)
 
 
-@pytest.mark.parametrize("robot", ["doosan_m1013", "small_arm"])
+@pytest.mark.parametrize("robot", ["doosan_m1013", "small_arm", "torso_arms"])
 @examples(1.0)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_what_is_nearby_is_as_far_as_the_exact_check_says_and_each_joint_changes_it_as_told(

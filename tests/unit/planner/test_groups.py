@@ -170,10 +170,11 @@ def test_an_arm_is_solved_where_the_torso_will_carry_it(torso: Handlers) -> None
     away += (0.4, -0.2, 0.1, 0.05, 0.2, 0.1, -0.2, 0.02, -0.2, 0.1, 0.1, 0.02)
     joints = JointGoal(kind="joints", position=tuple(away[:8].tolist()))
     tip = at(TORSO, "right_rod", away)
-    goal = together(torso__left=joints, right=PoseGoal(kind="pose", position=tip.position, orientation=tip.orientation))
-    path = verified(TORSO, torso.plan(request(goal)))
-    assert path[-1][:8] == pytest.approx(away[:8], abs=1e-6)
-    assert at(TORSO, "right_rod", path[-1]).position == pytest.approx(tip.position, abs=1e-4)
+    right = PoseGoal(kind="pose", position=tip.position, orientation=tip.orientation)
+    for goal in (together(torso__left=joints, right=right), together(right=right, torso__left=joints)):
+        path = verified(TORSO, torso.plan(request(goal)))
+        assert path[-1][:8] == pytest.approx(away[:8], abs=1e-6)
+        assert at(TORSO, "right_rod", path[-1]).position == pytest.approx(tip.position, abs=1e-4)
 
 
 def test_a_line_of_one_tip_is_straight(pandas: Handlers) -> None:

@@ -56,6 +56,25 @@ def test_the_distance_of_both_arms_is_that_of_each_beside_the_other(tmp_path: Pa
     assert apart > 5
 
 
+def test_the_distance_along_a_motion_is_the_least_of_its_configurations(tmp_path: Path) -> None:
+    """Of two arms that pass each other, both in motion: the search along the motion leaves out nothing that comes near."""
+    model = RobotModel.of(load_robot(str(torso_with_arms(tmp_path))))
+    exact, rng, near = ExactScene(model, World((), 0.0)), np.random.default_rng(4), 0
+    low, high = model.range_about(np.zeros(model.dof))
+    for _ in range(150):
+        begin = rng.uniform(low, high)
+        path = np.linspace(begin, np.clip(begin + rng.normal(0.0, 0.6, model.dof), low, high), 160)
+        each = [exact.nearest(q) for q in path]
+        least = min(each, key=lambda one: one.distance)
+        along = exact.nearest(path).distance
+        assert (along > 0.0) == (least.distance > 0.0)
+        if least.distance > 0.0:
+            assert along == pytest.approx(least.distance, abs=2e-5)
+        sides = {name.split("_")[0] for name in least.pair or ()}
+        near += sides == {"left", "right"}
+    assert near > 5
+
+
 def test_each_arm_keeps_its_gripper(tmp_path: Path) -> None:
     robot = load_robot(str(two_pandas(tmp_path)))
     assert robot.gripper_positions({"left_hand": 0.02})["left_panda_finger_joint2"] == 0.01

@@ -33,8 +33,9 @@ def group_ends(context: PlanningContext, start: Array, goal: GroupsGoal, field: 
     `goal_ends` does.
     """
     combined = [start]
-    for number, part in enumerate(goal.goals):
-        later = {joint for each in goal.goals[number + 1 :] for joint in _joints(context, each)}
+    parts = _carriers_first(context, goal, field)
+    for order, (number, part) in enumerate(parts):
+        later = {joint for _, each in parts[order + 1 :] for joint in _joints(context, each)}
         combined = _with_part(context, combined, part, later, f"{field}.goals.{number}.goal")
     combined.sort(key=lambda q: float(np.sum((q - start) ** 2)))
     pose = 0 if any(isinstance(part.goal, PoseGoal) for part in goal.goals) else None
@@ -51,6 +52,22 @@ def group_ends(context: PlanningContext, start: Array, goal: GroupsGoal, field: 
     if not ends:
         raise blocked_goal(context, combined[:_MOST], field)
     return tuple(ends)
+
+
+def _carriers_first(context: PlanningContext, goal: GroupsGoal, field: str) -> list[tuple[int, GroupGoal]]:
+    """The goals with their numbers, each after those of the groups that carry its own. Raises InvalidRequest for two groups that
+    carry each other.
+    """
+    parts = sorted(enumerate(goal.goals), key=lambda each: min(_joints(context, each[1])))
+    for order, (number, part) in enumerate(parts):
+        carriers = {joint for own in _joints(context, part) for joint in context.model.ancestors(own)}
+        for _, later in parts[order + 1 :]:
+            if carriers & {*_joints(context, later)}:
+                raise InvalidRequest(
+                    f"{part.group} and {later.group} carry each other; name groups of which one carries the other",
+                    field=f"{field}.goals.{number}.group",
+                )
+    return parts
 
 
 def _joints(context: PlanningContext, part: GroupGoal) -> list[int]:
