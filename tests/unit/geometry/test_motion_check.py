@@ -247,25 +247,43 @@ def test_what_is_no_motion_is_refused(times: list[float], positions: list[Array]
         MotionCheck(model("doosan_m1013")).check(times, positions, margin=MARGIN)
 
 
+def situation(arm: RobotModel, rng: np.random.Generator, things: int) -> tuple[MotionCheck, World, Array]:
+    """A check among random objects, and a configuration."""
+    world = World([thing(rng, i) for i in range(things)], 0.005)
+    check = MotionCheck(arm)
+    check.set_world(world)
+    return check, world, rng.uniform(np.maximum(arm.lower, -2.5), np.minimum(arm.upper, 2.5))
+
+
 @pytest.mark.parametrize("robot", ["doosan_m1013", "small_arm", "torso_arms"])
 @examples(1.0)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_what_is_nearby_is_as_far_as_the_exact_check_says_and_each_joint_changes_it_as_told(
-    robot: str, seed: int
-) -> None:
-    rng = np.random.default_rng(seed)
+def test_what_is_nearby_is_as_far_as_the_exact_check_says(robot: str, seed: int) -> None:
     arm = model(robot)
-    world = World([thing(rng, i) for i in range(4)], 0.005)
-    check = MotionCheck(arm)
-    check.set_world(world)
-    q = rng.uniform(np.maximum(arm.lower, -2.5), np.minimum(arm.upper, 2.5))
+    check, world, q = situation(arm, np.random.default_rng(seed), 4)
     pairs = check.nearby(q, within=0.9)
     nearest = ExactScene(arm, world).nearest(q)
     if nearest.distance > 0.0:
         assert pairs[0].distance == pytest.approx(nearest.distance, abs=1e-4)
     assert [pair.distance for pair in pairs] == sorted(pair.distance for pair in pairs)
-    step = 1e-4 * rng.normal(size=arm.dof)
-    after = {(pair.link, pair.object): pair.distance for pair in check.nearby(q + step, within=0.95)}
-    for pair in pairs:
-        if pair.distance > 0.01:  # another point may be the nearest afterwards, which is no further away
-            assert after[pair.link, pair.object] <= pair.distance + pair.gradient @ step + 5e-5
+
+
+@pytest.mark.parametrize("robot", ["doosan_m1013", "small_arm", "torso_arms"])
+def test_each_joint_changes_the_distance_of_what_is_nearby_as_its_gradient_says(robot: str) -> None:
+    """Against difference quotients. Where two parts of a link are as near as each other, or a face lies along another,
+    there is no derivative: of all pairs those are one in a hundred."""
+    arm, step, errors = model(robot), 1e-3, []
+    for seed in range(40):
+        check, _, q = situation(arm, np.random.default_rng(seed), 3)
+
+        def distances(at: Array, check: MotionCheck = check) -> dict[tuple[str, str], float]:
+            return {(pair.link, pair.object): pair.distance for pair in check.nearby(at, within=0.6)}
+
+        sides = [(distances(q - step * joint), distances(q + step * joint)) for joint in np.eye(arm.dof)]
+        for pair in check.nearby(q, within=0.5):
+            between = pair.link, pair.object
+            if pair.distance > 0.05 and all(between in side for both in sides for side in both):
+                quotient = [(after[between] - before[between]) / (2.0 * step) for before, after in sides]
+                errors.append(float(np.abs(pair.gradient - quotient).max()))
+    assert len(errors) > 250
+    assert np.quantile(errors, 0.98) < 0.003  # m/rad

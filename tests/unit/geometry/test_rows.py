@@ -33,7 +33,7 @@ def squared_distances(shapes: Single, x: Single, y: Single, z: Single, found: Si
 @numba.njit
 def bounds(center: Array, turn: Array, one: Array, other: Array) -> tuple[float, float]:
     """Of the distance of a core, placed in the frame of another, to that."""
-    lower, upper, _ = core_gap(
+    lower, upper, _, _ = core_gap(
         (center[0], center[1], center[2]),
         (turn[0, 0], turn[0, 1], turn[0, 2], turn[1, 0], turn[1, 1], turn[1, 2], turn[2, 0], turn[2, 1], turn[2, 2]),
         (one[0], one[1], one[2], one[3]),

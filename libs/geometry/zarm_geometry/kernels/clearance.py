@@ -228,7 +228,7 @@ def _to_row(
     w = turned(turn, (own[2], own[5], own[8]))
     own = (u[0], v[0], w[0], u[1], v[1], w[1], u[2], v[2], w[2])
     rounded = rounding + body.extents[i, 4]
-    lower, upper, _ = core_gap(center, own, _core(body.extents, i, 0), core, limit + rounded)
+    lower, upper, _, _ = core_gap(center, own, _core(body.extents, i, 0), core, limit + rounded)
     return lower - rounded, upper - rounded
 
 
@@ -248,7 +248,7 @@ def _to_box(
     if apart >= limit or body.extents[i, 4] == body.extents[i, 5]:
         return apart
     rounding = body.extents[i, 4]
-    lower, _, _ = core_gap(
+    lower, _, _, _ = core_gap(
         center, _part_turn(body, search, slot, link, i), _core(body.extents, i, 0), half, limit + rounding
     )
     kept: float = max(apart, lower - rounding)
@@ -394,7 +394,7 @@ def _to_each_other(
                 w = turned_back(turn, (own[2], own[5], own[8]))
                 own = (u[0], v[0], w[0], u[1], v[1], w[1], u[2], v[2], w[2])
                 center = turned_back(turn, (x, y, z))
-                lower, upper, _ = core_gap(
+                lower, upper, _, _ = core_gap(
                     center, own, _core(body.extents, i, 0), _core(body.extents, j, 0), limit + rounded
                 )
                 lower, upper = lower - rounded, upper - rounded

@@ -119,9 +119,10 @@ def separation(n: Vector, c: Vector, turn: Turn, a: Extents, b: Extents) -> floa
 
 
 @inlined
-def core_gap(c: Vector, turn: Turn, a: Extents, b: Extents, enough: float) -> tuple[float, float, Vector]:
+def core_gap(c: Vector, turn: Turn, a: Extents, b: Extents, enough: float) -> tuple[float, float, Vector, Vector]:
     """Lower and upper bound on the distance of core `a`, with axes `turn` and centre `c` in the frame of core `b`, to
-    core `b`; and the unit vector in that frame, from `b` to `a`, whose slab proves the lower one.
+    core `b`; and in that frame the unit vector, from `b` to `a`, whose slab proves the lower one, and the last point of
+    `a` found, which is the nearest to `b` once the bounds have met.
 
     Alternating projections find the nearest points of both (Cheney and Goldstein, "Proximity maps for convex sets",
     1959). They are a gradient descent and are accelerated like one (Nesterov's momentum, restarted as by O'Donoghue and
@@ -137,6 +138,7 @@ def core_gap(c: Vector, turn: Turn, a: Extents, b: Extents, enough: float) -> tu
         n = (c[0] / length, c[1] / length, c[2] / length)
         lower = separation(n, c, turn, a, b)
     x0, x1, x2 = c
+    p0, p1, p2 = c
     d0, d1, d2 = 0.0, 0.0, 0.0
     steps = 0
     for _ in range(_ROUNDS):
@@ -160,4 +162,4 @@ def core_gap(c: Vector, turn: Turn, a: Extents, b: Extents, enough: float) -> tu
         uphill = (y0 - p0) * d0 + (y1 - p1) * d1 + (y2 - p2) * d2 > 0.0
         steps = 0 if uphill else steps + 1
         x0, x1, x2 = p0, p1, p2
-    return lower, upper, n
+    return lower, upper, n, (p0, p1, p2)

@@ -136,7 +136,7 @@ def _apart(
             v0, v1, v2 = turned_back(turn, (mine[1], mine[4], mine[7]))
             w0, w1, w2 = turned_back(turn, (mine[2], mine[5], mine[8]))
             own = (u0, v0, w0, u1, v1, w1, u2, v2, w2)
-            gap, _, n = core_gap(center, own, core, other, 2.0 * need)
+            gap, _, n, _ = core_gap(center, own, core, other, 2.0 * need)
             if gap < need:
                 return least
         beyond = core_reach(n, other)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from zarm_geometry.kernels.arrays import Pointer
 from zarm_geometry.kernels.clearance_search import COUNT, FIRST, OWN, Obstacles
 from zarm_geometry.kernels.compiled import inlined, kernel
-from zarm_geometry.kernels.convex import Extents, Vector, core_gap, separation, turned, turned_back
+from zarm_geometry.kernels.convex import Extents, Turn, Vector, core_gap, separation, turned, turned_back
 from zarm_geometry.kernels.motion import (
     EXTENTS,
     POSE,
@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 
 GRADIENT = 3
 """The column in which the gradient starts in a row of `near`."""
+_PARALLEL = 1e-3
+"""Sine of the angle (rad) to an edge or a face below which a slab is parallel to it."""
 
 
 @inlined
@@ -48,7 +50,7 @@ def _gap(
     w0, w1, w2 = turned_back(turn, (mine[2], mine[5], mine[8]))
     own = (u0, v0, w0, u1, v1, w1, u2, v2, w2)
     c = turned_back(turn, (x, y, z))
-    gap, _, n = core_gap(c, own, core, other, math.inf)
+    gap, _, n, p = core_gap(c, own, core, other, math.inf)
     if gap < 0.0:  # they overlap: take the shortest way out along the axes of either core
         for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (u0, u1, u2), (v0, v1, v2), (w0, w1, w2)):
             sign = 1.0 if axis[0] * c[0] + axis[1] * c[1] + axis[2] * c[2] >= 0.0 else -1.0
@@ -56,19 +58,59 @@ def _gap(
             apart = separation(out, c, own, core, other)
             if apart > gap:
                 gap, n = apart, out
+    s0, s1, s2 = turned(turn, _support(n, (p[0] - c[0], p[1] - c[1], p[2] - c[2]), c, own, core, other))
     n = turned(turn, n)
-    d0, d1, d2 = turned_back(mine, n)
-    flat = math.sqrt(d0 * d0 + d1 * d1)
-    disc = core[3] / flat if flat > 1e-9 else 0.0
-    # If an edge or a face is parallel to the slab, take its middle.
-    s0, s1, s2 = _side(d0) * core[0] + disc * d0, _side(d1) * core[1] + disc * d1, _side(d2) * core[2]
-    s0, s1, s2 = turned(mine, (-s0, -s1, -s2))
     return gap, n, (frames[at + 3] + s0, frames[at + 7] + s1, frames[at + 11] + s2)
 
 
 @inlined
-def _side(value: float) -> float:
-    return 1.0 if value > 1e-3 else -1.0 if value < -1e-3 else 0.0
+def _support(n: Vector, p: Vector, c: Vector, turn: Turn, core: Extents, other: Extents) -> Vector:
+    """The point of a core, from its centre `c`, that is furthest against `n`, all in the frame of the other core.
+
+    If an edge or a face is, take the point of it that is nearest to `p`; and if the other core lies along it, the
+    middle of what they share: either end would let the other end come closer unseen.
+    """
+    against, near = turned_back(turn, n), turned_back(turn, p)
+    flat = math.sqrt(against[0] * against[0] + against[1] * against[1])
+    disc = core[3] / flat if flat > _PARALLEL else 0.0
+    face = core[3] if flat <= _PARALLEL else 0.0
+    x = _along(against[0], near[0] + disc * against[0], core[0] + face) - disc * against[0]
+    y = _along(against[1], near[1] + disc * against[1], core[1] + face) - disc * against[1]
+    z = _along(against[2], near[2], core[2])
+    if other[3] >= 0.0:
+        width = other[3] if math.sqrt(n[0] * n[0] + n[1] * n[1]) <= _PARALLEL else 0.0
+        reach = (other[0] + width, other[1] + width, other[2])
+        if abs(against[0]) <= _PARALLEL and core[0] > 0.0:
+            u, q = (turn[0], turn[3], turn[6]), turned(turn, (x, y, z))
+            x += _to_middle(x, core[0], u, (q[0] + c[0], q[1] + c[1], q[2] + c[2]), reach)
+        if abs(against[1]) <= _PARALLEL and core[1] > 0.0:
+            u, q = (turn[1], turn[4], turn[7]), turned(turn, (x, y, z))
+            y += _to_middle(y, core[1], u, (q[0] + c[0], q[1] + c[1], q[2] + c[2]), reach)
+        if abs(against[2]) <= _PARALLEL and core[2] > 0.0:
+            u, q = (turn[2], turn[5], turn[8]), turned(turn, (x, y, z))
+            z += _to_middle(z, core[2], u, (q[0] + c[0], q[1] + c[1], q[2] + c[2]), reach)
+    return turned(turn, (x, y, z))
+
+
+@inlined
+def _along(against: float, near: float, half: float) -> float:
+    """The coordinate of the support point by one axis of a core."""
+    if abs(against) > _PARALLEL:
+        return -half if against > 0.0 else half
+    return min(max(near, -half), half)
+
+
+@inlined
+def _to_middle(at: float, half: float, axis: Vector, q: Vector, reach: Vector) -> float:
+    """How far the middle of what two cores share along an axis is from a point at `at` on it, which is `q` in the frame
+    of the other core.
+    """
+    low, high = -half - at, half - at
+    for k in range(3):
+        if abs(axis[k]) > _PARALLEL:
+            one, two = (-reach[k] - q[k]) / axis[k], (reach[k] - q[k]) / axis[k]
+            low, high = max(low, min(one, two)), min(high, max(one, two))
+    return 0.5 * (low + high) if high > low else 0.0
 
 
 @inlined
