@@ -65,7 +65,7 @@ def main() -> None:
     for cycle in range(1000):
         reported = TOLD * (cycle * PERIOD // TOLD)
         pose, before = at(free.tips[0], reported), at(free.tips[0], max(reported - TOLD, 0.0))
-        free.cycle(PoseTarget.moving(before, pose, TOLD), cycle * PERIOD - reported)
+        free.cycle(PoseTarget(pose).moving(before, TOLD), cycle * PERIOD - reported)
         away = at(free.tips[0], (cycle + 1) * PERIOD)[:3, 3] - free.tips[-1][:3, 3]
         lags.append(float(np.linalg.norm(away)) / SPEED)
     for _ in range(1000):
