@@ -13,7 +13,7 @@ import pytest
 from support.faults.arena import STEP, Arena
 from support.harness import eventually
 from zarm_executor.machine import STALL_LIMIT
-from zarm_leeloo_sim.player import Kind
+from zarm_simulated_driver.player import Kind
 
 pytestmark = [pytest.mark.timed, pytest.mark.slow]
 

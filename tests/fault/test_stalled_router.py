@@ -15,7 +15,7 @@ from support.faults.arena import STEP, Arena
 from support.faults.ordeal import STILL, WINDOW, nothing_moves
 from support.harness import eventually
 from support.trajectories import ROBOT
-from zarm_leeloo_sim.player import CEILING, STIFFNESS, TICK, Kind
+from zarm_simulated_driver.player import CEILING, STIFFNESS, TICK, Kind
 from zarm_trajectory.trajectory import TimedTrajectory
 
 pytestmark = [pytest.mark.timed, pytest.mark.slow]

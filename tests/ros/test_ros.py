@@ -25,8 +25,8 @@ joined = Ros("alone", workers=1)
 """
 DRIVER = """
 from zarm_contract.robot import load_robot
-from zarm_leeloo_sim.axes import Axes
-from zarm_leeloo_sim.ros_side import ros_side
+from zarm_simulated_driver.axes import Axes
+from zarm_simulated_driver.ros_side import ros_side
 
 robot = load_robot("doosan_m1013").descriptor
 joined = ros_side("alone", robot.strategy_params, Axes.of(robot))

@@ -52,13 +52,26 @@ class Joint:
 
 
 @dataclass(frozen=True)
+class Inertial:
+    """The `mass` (kg) of a link, and its inertia about its centre of mass at `xyz` (m), in axes turned by `rpy` (rad) from those
+    of the link. `inertia` is ixx, iyy, izz, ixy, ixz, iyz (kg m²).
+    """
+
+    mass: float
+    xyz: tuple[float, float, float]
+    rpy: tuple[float, float, float]
+    inertia: tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True)
 class Urdf:
-    """A tree of links; `joint_of_child` are keyed by the child link they carry. `notes` say what in the file has no effect,
-    and what was made of the rest where that is not obvious, each as `file:line: what`.
+    """A tree of links; `joint_of_child` are keyed by the child link they carry, `inertials` by the link, those that state a mass.
+    `notes` say what in the file has no effect, and what was made of the rest where that is not obvious, each as `file:line: what`.
     """
 
     links: tuple[str, ...]
     joint_of_child: dict[str, Joint]
+    inertials: dict[str, Inertial]
     notes: tuple[str, ...] = ()
 
     def chain(self, base: str, tip: str) -> tuple[Joint, ...]:
@@ -86,8 +99,17 @@ def load_urdf(path: Path, grippers: Collection[str] = ()) -> Urdf:
     account = account_for(document)
     links = tuple(document.attribute(link, "name") for link in document.root.findall("link"))
     joints: dict[str, Joint] = {}
+    inertials: dict[str, Inertial] = {}
     faults: list[str] = []
     notes: list[str] = []
+    for element in document.root.findall("link"):
+        try:
+            inertial = _read_inertial(document, element)
+        except InvalidRequest as error:
+            faults.append(error.problem.message)
+            continue
+        if inertial is not None:
+            inertials[document.attribute(element, "name")] = inertial
     for element in document.root.findall("joint"):
         try:
             joint = read_joint(document, element, notes)
@@ -102,7 +124,25 @@ def load_urdf(path: Path, grippers: Collection[str] = ()) -> Urdf:
     faults += [fault for fault in account.faults if fault.split(": ")[0] not in places]
     if faults:
         raise InvalidRequest("\n".join(faults))
-    return Urdf(links, joints, (*account.notes, *notes))
+    return Urdf(links, joints, inertials, (*account.notes, *notes))
+
+
+def _read_inertial(document: UrdfDocument, link: ET.Element) -> Inertial | None:
+    """The <inertial> of a <link>, None without one, or if its mass is 0, as that of a frame is."""
+    element, owner = link.find("inertial"), f"link {link.get('name')}"
+    mass = None if element is None else element.find("mass")
+    if element is None or mass is None:
+        return None
+    kilograms = document.numbers(mass, "value", 1, owner, (0.0,))[0]
+    if kilograms < 0.0:
+        raise document.fault(mass, f"{owner} has a mass of {kilograms:g} kg; write a positive one")
+    inertia = element.find("inertia")
+    xx, yy, zz, xy, xz, yz = (
+        0.0 if inertia is None else document.numbers(inertia, key, 1, owner, (0.0,))[0]
+        for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    )
+    xyz, rpy = document.origin(element.find("origin"), owner)
+    return Inertial(kilograms, xyz, rpy, (xx, yy, zz, xy, xz, yz)) if kilograms > 0.0 else None
 
 
 def read_joint(document: UrdfDocument, element: ET.Element, notes: list[str]) -> Joint:

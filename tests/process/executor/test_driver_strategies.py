@@ -22,11 +22,11 @@ from support.trajectories import HOME, KEYS, ROBOT, forgiving, moved, patient, r
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import DriverFault, JointState
 from zarm_contract.robot import find_robot, load_robot
-from zarm_leeloo_sim.axes import Axes
-from zarm_leeloo_sim.bus_side import BusSide
-from zarm_leeloo_sim.driver import LeelooDriver
+from zarm_simulated_driver.axes import Axes
+from zarm_simulated_driver.bus_side import BusSide
+from zarm_simulated_driver.driver import SimulatedDriver
 from zarm_leeloo_sim.fingers import Fingers
-from zarm_leeloo_sim.player import Player
+from zarm_simulated_driver.player import Player
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
 
@@ -278,7 +278,7 @@ def test_the_example_of_a_driver_moves_its_arm(bus: Bus, endpoint: str, tmp_path
 def driver_that_never_tells_of_the_end(bus: Bus) -> Iterator[None]:
     """A driver whose last progress gets lost, as on a link that drops it."""
     side, ended = BusSide(bus, KEYS, Axes.of(ROBOT.descriptor)), threading.Event()
-    driver = LeelooDriver(
+    driver = SimulatedDriver(
         Player(HOME),
         side.publish_joints,
         lambda reported: None if reported.fraction > 0.99 else side.publish_progress(reported),

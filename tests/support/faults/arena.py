@@ -19,7 +19,7 @@ from support.resources import ahead_of_others, burden
 from support.trajectories import HOME, plan, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import ExecutorState, JointState, Trajectory
-from zarm_leeloo_sim.player import Kind
+from zarm_simulated_driver.player import Kind
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_router
 

@@ -13,7 +13,7 @@ from support.harness import eventually
 from support.trajectories import HOME
 from zarm_contract.errors import Problem
 from zarm_contract.messages import GoalState
-from zarm_leeloo_sim.player import CEILING
+from zarm_simulated_driver.player import CEILING
 
 IN_MOTION = 0.5
 """Speed of the fastest joint, rad/s, at which the fault is injected."""

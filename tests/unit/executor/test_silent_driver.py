@@ -12,7 +12,7 @@ from support.executor.driven import FAR
 from support.executor.driver_bench import MOVING, DriverBench, distance_from
 from support.tiers import sampled
 from support.trajectories import HOME, trapezoid
-from zarm_leeloo_sim.player import CEILING
+from zarm_simulated_driver.player import CEILING
 
 BY_ITSELF = 0.06
 """How far (rad) an arm may leave its path that brakes by itself, each joint for itself."""

@@ -14,7 +14,7 @@ from support.examples import examples
 from support.executor.driver_bench import MOVING, Case, DriverBench, distance_from
 from support.trajectories import HOME, trapezoid
 from zarm_contract.messages import DriverCommand
-from zarm_leeloo_sim.player import CEILING
+from zarm_simulated_driver.player import CEILING
 from zarm_runtime.expiry import Expiry
 
 DRIVEN = [case for case in MOVING if case.strategy != "emulator"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from zarm_leeloo_sim.player import CEILING, STEP, TICK, Player
+from zarm_simulated_driver.player import CEILING, STEP, TICK, Player
 
 NONE = np.zeros((0, 2))
 

@@ -1,6 +1,6 @@
 """How the simulated arm plays commands: one point per tick, by index, through a drive with lag and limits.
 
-The model of one axis: the drive's velocity follows the point's with a first-order lag, dv/dt = (target - v) / lag,
+The model of one axis: the velocity follows the point's with a first-order lag, dv/dt = (target - v) / lag,
 bounded by the controller's limits of acceleration and velocity. The model knows no bus and no clock.
 """
 
@@ -19,7 +19,7 @@ TICK = 0.02
 STEP = 0.01
 """Time step of the drives, s, and period of the joint states: two steps per point."""
 LAG = 0.03
-"""Time constant of a drive, s."""
+"""Time constant of the M1013's drives, s."""
 CEILING = math.radians(70.0)
 """The real-time ceilings of the M1013's driver for each joint: 70 deg/s and 70 deg/s^2, in rad/s and rad/s^2. An arm that
 stops by itself brakes no harder than the second."""
@@ -39,14 +39,16 @@ class Player:
     is the present commanded velocity, rad/s.
     """
 
-    def __init__(self, position: Array, *, plays: Kind = "velocity", ceiling: float = CEILING) -> None:
+    def __init__(
+        self, position: Array, *, plays: Kind = "velocity", ceiling: float = CEILING, lag: float = LAG
+    ) -> None:
         self.position = position.copy()
         self.velocity: Array = np.zeros_like(position)
         self.total = 0
         self.played = 0
         self._plays = plays
         self._by_position = plays == "position"
-        self._ceiling = ceiling
+        self._ceiling, self._share = ceiling, 1.0 - math.exp(-STEP / lag)
         self._positions: Array = np.zeros((0, len(position)))
         self._velocities: Array = np.zeros((0, len(position)))
         self._target = position.copy()
@@ -88,12 +90,16 @@ class Player:
                 self._target = self.position  # told to stop: it holds its rest position
             wanted = wanted + STIFFNESS * (self._target - self.position)
         wanted = np.clip(wanted, -self._ceiling, self._ceiling)
-        change = (wanted - self.velocity) * (1.0 - math.exp(-STEP / LAG))
+        change = (wanted - self.velocity) * self._share
         most = STEP * (min(self._ceiling, CEILING) if self._stopping else self._ceiling)
         before = self.velocity
         self.velocity = before + np.clip(change, -most, most)
         self.velocity[np.abs(self.velocity) < 1e-6] = 0.0
         self.position = self.position + 0.5 * (before + self.velocity) * STEP
+
+    def displace(self, offset: Array) -> None:
+        """Be elsewhere at once, by `offset` (J,) rad."""
+        self.position = self.position + offset
 
     def _next_point(self, stalled: bool) -> None:
         if stalled:

@@ -1,4 +1,4 @@
-"""The simulated driver: an arm in step with the clock, and its faults. It depends on neither bus nor ROS."""
+"""A simulated driver: an arm in step with the clock, and its faults. It depends on neither bus nor ROS."""
 
 from __future__ import annotations
 
@@ -10,19 +10,66 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TextIO
+from typing import Protocol, TextIO
 
 import numpy as np
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import DriverFault, DriverGripperCommand, DriverGripperState, Nothing
-from zarm_leeloo_sim.fingers import Fingers
-from zarm_leeloo_sim.player import STEP, Array, Player
+from zarm_simulated_driver.player import STEP, Array
 
 log = logging.getLogger(__name__)
 
 LONGEST_PAUSE = 0.1
 """An arm that was not simulated for longer than this (s), as when its process is stopped, has not moved meanwhile."""
+
+
+class Arm(Protocol):
+    """J joints that play points."""
+
+    @property
+    def position(self) -> Array:
+        """Measured positions (J,), rad."""
+        ...
+
+    @property
+    def velocity(self) -> Array:
+        """Measured velocities (J,), rad/s."""
+        ...
+
+    @property
+    def played(self) -> int:
+        """How many points of the last command are played."""
+        ...
+
+    @property
+    def total(self) -> int:
+        """How many points the last command had."""
+        ...
+
+    def play(self, positions: Array, velocities: Array) -> int:
+        """Play these points, see `Player.play`."""
+        ...
+
+    def step(self, *, stalled: bool = False) -> None:
+        """Let `STEP` seconds pass; a stalled arm plays no further point and brakes to rest."""
+        ...
+
+    def displace(self, offset: Array) -> None:
+        """Be elsewhere at once, by `offset` (J,) rad."""
+        ...
+
+
+class Hands(Protocol):
+    """The grippers of a robot."""
+
+    def play(self, command: DriverGripperCommand) -> None:
+        """Move to this from the next step on."""
+        ...
+
+    def step(self, dt: float, obstacle: float | None, report: Callable[[DriverGripperState], None]) -> None:
+        """Report after `dt` s in which fingers do not close further than `obstacle` (m)."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -48,23 +95,24 @@ class PlaybackProgress:
         return self.played / self.total if self.total else 1.0
 
 
-class LeelooDriver:
-    """Plays commands on `player`; publishes positions (J,) rad and velocities (J,) rad/s, and progress.
+class SimulatedDriver:
+    """Plays commands on `arm`; publishes positions (J,) rad and velocities (J,) rad/s, and progress.
 
-    `fingers` are its grippers, whose states go to `publish_gripper`. `trace` gets a line for every step: positions, then velocities, regardless of faults that hide them from others.
+    `hands` are its grippers, whose states go to `publish_gripper`. `trace` gets a line for every step: positions, then
+    velocities, regardless of faults that hide them from others.
     """
 
     def __init__(
         self,
-        player: Player,
+        arm: Arm,
         publish_joints: Callable[[Array, Array], None],
         publish_progress: Callable[[PlaybackProgress], None],
-        fingers: Fingers,
+        hands: Hands,
         publish_gripper: Callable[[DriverGripperState], None],
         trace: TextIO | None = None,
     ) -> None:
-        self._player = player
-        self._fingers, self._publish_gripper = fingers, publish_gripper
+        self._arm = arm
+        self._hands, self._publish_gripper = hands, publish_gripper
         self._publish_joints = publish_joints
         self._publish_progress = publish_progress
         self._trace = trace
@@ -84,13 +132,13 @@ class LeelooDriver:
     def grip(self, command: DriverGripperCommand) -> None:
         """Move a gripper."""
         with self._lock:
-            self._fingers.play(command)
+            self._hands.play(command)
 
     def set_fault(self, fault: DriverFault) -> Nothing:
         """Apply this fault from now on, and no other. Raises InvalidRequest for a jump with the wrong joints."""
-        if fault.jump is not None and len(fault.jump) != len(self._player.position):
+        if fault.jump is not None and len(fault.jump) != len(self._arm.position):
             raise InvalidRequest(
-                f"{len(fault.jump)} values for {len(self._player.position)} joints; give one for each", field="jump"
+                f"{len(fault.jump)} values for {len(self._arm.position)} joints; give one for each", field="jump"
             )
         with self._lock:
             log.info("fault %s", fault.model_dump_json(exclude_defaults=True))
@@ -98,7 +146,7 @@ class LeelooDriver:
                 os._exit(1)
             self._fault = fault
             if fault.jump is not None:
-                self._player.position = self._player.position + np.array(fault.jump)
+                self._arm.displace(np.array(fault.jump))
         return Nothing()
 
     def run(self, ended: threading.Event) -> None:
@@ -115,15 +163,15 @@ class LeelooDriver:
         with self._lock:
             while self._waiting and self._waiting[0][0] <= now:
                 self._take(self._waiting.popleft()[1])
-            self._player.step(stalled=self._fault.stall)
+            self._arm.step(stalled=self._fault.stall)
             if self._trace is not None:
-                row = (*self._player.position.tolist(), *self._player.velocity.tolist())
+                row = (*self._arm.position.tolist(), *self._arm.velocity.tolist())
                 self._trace.write(",".join(map(repr, row)) + "\n")
-            self._fingers.step(0.0 if self._fault.stall else STEP, self._fault.obstacle, self._report_gripper)
+            self._hands.step(0.0 if self._fault.stall else STEP, self._fault.obstacle, self._report_gripper)
             if self._fault.silent:
                 return
-            self._publish_joints(self._player.position, self._player.velocity)
-            progress = PlaybackProgress(self._sequence, self._player.played, self._player.total)
+            self._publish_joints(self._arm.position, self._arm.velocity)
+            progress = PlaybackProgress(self._sequence, self._arm.played, self._arm.total)
             if self._sequence and progress.fraction != self._fraction_reported and not self._fault.stall:
                 self._fraction_reported = progress.fraction
                 self._publish_progress(progress)
@@ -133,6 +181,6 @@ class LeelooDriver:
             self._publish_gripper(state)
 
     def _take(self, command: Command) -> None:
-        if lacking := self._player.play(command.position, command.velocity):
+        if lacking := self._arm.play(command.position, command.velocity):
             log.warning("points that lack what is played repeat the one before points=%d", lacking)
         self._sequence, self._fraction_reported = command.sequence, 0.0
