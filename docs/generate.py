@@ -35,6 +35,7 @@ from zarm_contract.messages import (
     goals,
     gripper,
     motion,
+    physics,
     planner,
     program,
     scene,
@@ -81,7 +82,7 @@ def keys() -> Iterator[str]:
         "Executor": ("executor",),
         "Robot and preview": ("joint_states", "preview"),
         "Servo": ("servo",),
-        "Driver": ("driver", "leeloo_sim"),
+        "Driver": ("driver", "leeloo_sim", "physics"),
         "Every service": ("<service>",),
     }
     keys = declared().values()
@@ -121,6 +122,7 @@ def messages() -> Iterator[str]:
         "The scene": scene,
         "Execution": executor,
         "Grippers": gripper,
+        "Physics": physics,
         "The servo": servo,
         "Drivers": driver,
         "Trajectories, joints and poses": motion,
@@ -256,8 +258,10 @@ def settings() -> Iterator[str]:
     yield from _table(("option", "what"), _options(_source_of("def service_parser(")))
     for name in (*SERVICE_ROLES, "viewer"):
         (source,) = (ROOT / "services").glob(f"{name}/zarm_{name}/service.py")
-        meshes = _source_of("def add_meshes(") if "add_meshes(" in source.read_text() else None
-        if rows := [*_options(source), *(_options(meshes) if meshes else ())]:
+        shared = [
+            _source_of(f"def {name}(") for name in ("add_meshes", "add_options") if f"{name}(" in source.read_text()
+        ]
+        if rows := [row for path in (source, *shared) for row in _options(path)]:
             yield from (f"## `zarm-{name.replace('_', '-')}`", "")
             yield from _table(("option", "what"), rows)
 

@@ -24,8 +24,8 @@ from support.harness import PATIENCE, ServiceProcess, eventually
 from support.trajectories import HOME, ROBOT, rest_to_rest
 from zarm_contract.messages import DriverFault, ExecuteRequest, JointGoal, JointState, PlanRequest
 from zarm_executor.machine import STALL_LIMIT
-from zarm_simulated_driver.player import CEILING
 from zarm_runtime.bus import Bus
+from zarm_simulated_driver.player import CEILING
 from zarm_trajectory.follower import CATCH_UP
 
 pytestmark = pytest.mark.timed

@@ -1,7 +1,7 @@
 """Access control: the router rules that follow from the rights of each key.
 
-Any process with a certificate may read: subscribe to everything, read latched values, see which processes are alive. The keys
-say what else a role may publish, answer, or request; everything else is denied.
+Any process with a certificate may read: subscribe to everything, read latched values, see which processes are alive. A key may
+name its readers. The keys say what else a role may publish, answer, or request; everything else is denied.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from zarm_contract.key import Rights
 from zarm_contract.keys import ALL_ALIVE, ALL_CLIENTS, every_key
 from zarm_contract.roles import EVERYONE, Role, Roles
 
-Verb = Literal["publishes", "answers", "asks", "lives"]
+Verb = Literal["publishes", "answers", "asks", "lives", "reads"]
 
 
 def reading(key: str) -> str:
@@ -53,6 +53,7 @@ _VERBS = {
     "answers": "to answer on",
     "asks": "to send requests to",
     "lives": "to be alive as",
+    "reads": "to read",
 }
 
 
@@ -87,6 +88,13 @@ def access_control() -> dict[str, object]:
                 f"{role} does no more than read",
                 ("query",),
                 (key for key, granted in table.items() if granted.latched and role not in granted.asks),
+                permission="deny",
+            ),
+            _rule(
+                f"{role} gets nothing that is for others",
+                ("put",),
+                (key for key, granted in table.items() if role not in granted.reads),
+                flow="egress",
                 permission="deny",
             ),
             _rule(

@@ -23,8 +23,8 @@ _NAME = re.compile(r"<\w+>")
 
 @dataclass(frozen=True)
 class Rights:
-    """What each role may do on a key: publish, answer requests, send requests to exactly this key, which may act, or
-    declare the key as its liveliness token.
+    """What each role may do on a key: publish, answer requests, send requests to exactly this key, which may act, declare
+    the key as its liveliness token, or read what is published.
 
     `latched`: everyone may read the present value, through `reading(key)`, which no service takes for a request to act.
     """
@@ -33,6 +33,7 @@ class Rights:
     answers: Roles = ()
     asks: Roles = ()
     lives: Roles = ()
+    reads: Roles = EVERYONE
     latched: bool = False
 
 
@@ -105,7 +106,7 @@ class Published(Key, Generic[M]):
 
 
 class Topic(Published[M]):
-    """What the roles `by` publish; nobody answers. By default those that are `realtime` are droppable."""
+    """What the roles `by` publish and the `readers` may read; nobody answers. By default those that are `realtime` are droppable."""
 
     kind = "publication"
 
@@ -116,6 +117,7 @@ class Topic(Published[M]):
         about: str,
         *,
         by: Roles,
+        readers: Roles = EVERYONE,
         realtime: bool = False,
         droppable: bool | None = None,
         recorded: Recorded | None = None,
@@ -123,7 +125,7 @@ class Topic(Published[M]):
         self = Key.__new__(cls, path, about)
         self.model, self.recorded = model, recorded
         self.realtime, self.droppable = realtime, realtime if droppable is None else droppable
-        self.rights = Rights(publishes=by)
+        self.rights = Rights(publishes=by, reads=readers)
         return self
 
 

@@ -40,6 +40,7 @@ from zarm_contract.messages import (
     ObjectPose,
     Occupancy,
     OccupancyRequest,
+    PhysicsState,
     Plan,
     Planners,
     PlannerSettings,
@@ -362,6 +363,15 @@ class Keys:
         "Give the simulated driver a fault; an empty request ends all faults.",
         to="driver",
         by=("operator",),
+    )
+
+    physics_state = Topic(
+        "physics/state",
+        PhysicsState,
+        "The truth of a simulation with physics, 50 times a second: for tests and eyes, not for what moves the robot.",
+        by=("driver",),
+        readers=("operator", "viewer"),
+        droppable=True,
     )
 
     # robot and ghost

@@ -15,6 +15,7 @@ SERVICE_ROLES: Mapping[str, Role] = {
     "servo": "servo",
     "ros_bridge": "bridge",
     "leeloo_sim": "driver",
+    "physics_sim": "driver",
 }
 """The role of each service, by its name on the bus."""
 

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import yaml
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from zarm_contract.document import Document, read_document
+from zarm_contract.document import Document
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Vector3
 from zarm_contract.robot import RobotDescription, load_robot
-from zarm_contract.section import Section
+from zarm_contract.section import Section, read_section
 from zarm_contract.urdf_document import parse_urdf
 
 _KEPT = ("link", "joint")
@@ -49,13 +49,7 @@ class Composition(Section):
 
 def read_composition(path: Path) -> tuple[Composition, dict[str, RobotDescription]]:
     """A composition with the robot of each part. Raises InvalidRequest with file, line and remedy."""
-    document = read_document(path, "a composition of robots")
-    try:
-        composition = Composition.model_validate(document.data)
-    except ValidationError as error:
-        raise InvalidRequest(
-            "\n".join(document.fault(tuple(one["loc"]), one["msg"]) for one in error.errors())
-        ) from error
+    document, composition = read_section(path, "a composition of robots", Composition)
     if faults := [*_misplaced(document, composition)]:
         raise InvalidRequest("\n".join(faults))
     robots = {}

@@ -305,6 +305,7 @@ class Bus:
         self._listen(key, receive, in_order=True)
 
     def _listen(self, key: str, callback: Callable[[str, bytes, int], None], *, in_order: bool) -> Callable[[], None]:
+        self._require("reads", key)
         observe = self._observe
 
         def receive(sample: zenoh.Sample, arrival: int = 0) -> None:

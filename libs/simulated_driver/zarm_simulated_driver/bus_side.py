@@ -10,11 +10,11 @@ import numpy as np
 
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
+from zarm_runtime.bus import Bus
+from zarm_runtime.expiry import Expiry
 from zarm_simulated_driver.axes import Axes
 from zarm_simulated_driver.driver import Command, PlaybackProgress
 from zarm_simulated_driver.player import Array
-from zarm_runtime.bus import Bus
-from zarm_runtime.expiry import Expiry
 
 log = logging.getLogger(__name__)
 

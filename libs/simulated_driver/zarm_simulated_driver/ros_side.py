@@ -19,10 +19,10 @@ from std_msgs.msg import Float32
 from trajectory_msgs.msg import JointTrajectory
 
 from zarm_contract.descriptor import StrategyParams
+from zarm_runtime import dds
 from zarm_simulated_driver.axes import Axes
 from zarm_simulated_driver.driver import Command, PlaybackProgress
 from zarm_simulated_driver.player import Array
-from zarm_runtime import dds
 
 DEPTH = 10
 """Queue depth of each topic, as with the real driver."""

@@ -33,7 +33,7 @@ from zarm_runtime.session import DEFAULT_ENDPOINT, open_router, resolved_endpoin
 
 SERVICES = ("planner", "servo", "executor")
 """The services that every robot needs, in start order; they stop in reverse, so that the robot comes to rest first."""
-METERED = ("planner", "executor", "ros_bridge", "leeloo_sim", "servo")
+METERED = ("planner", "executor", "ros_bridge", "leeloo_sim", "servo", "physics_sim")
 """Services whose metrics are served: the first at the address given to `up`, the others at the following ports."""
 _PLANNER_PACKAGES = ("fcl", "llvmlite", "numba", "toppra", "trimesh")
 _ROS_PACKAGES = ("rclpy", "curobo_msgs")
@@ -43,6 +43,12 @@ class SimulatedDriver(StrEnum):
     """The driver used by strategies that need one, if `zarm up` starts it."""
 
     sim = "sim"
+    physics = "physics"
+
+    @property
+    def service(self) -> str:
+        """The service that it is."""
+        return "leeloo_sim" if self is SimulatedDriver.sim else "physics_sim"
 
 
 @dataclass(frozen=True)
@@ -90,6 +96,7 @@ def launch(
     name: str | None = None,
     strategy: str | None = None,
     driver: SimulatedDriver | None = None,
+    physics: Sequence[str] = (),
     ros: bool = False,
     moveit: str | None = None,
     connect: str | None = None,
@@ -103,7 +110,7 @@ def launch(
     """Start the services of one robot, with a router of their own at `listen` or using the one at `connect`; at `view`,
     `HOST:PORT`, also the page; with `moveit`, the planning group of MoveIt's clients, also the bridge.
 
-    Leaving stops them in order. Raises InvalidRequest for an invalid descriptor or name and for a robot already running
+    `physics` are arguments for the physical driver. Leaving stops them in order. Raises InvalidRequest for an invalid descriptor or name and for a robot already running
     on that bus, Unavailable if the port is taken, no router answers, or packages are missing.
     """
     _require("the planner cannot run", _PLANNER_PACKAGES, "`pip install 'zarm[planner]'` installs what is needed")
@@ -116,6 +123,8 @@ def launch(
         )
     if view is not None:
         require_viewer()
+    if driver is SimulatedDriver.physics:
+        _require("physics cannot be simulated", ("mujoco",), "`pip install 'zarm[sim]'` installs it")
     robot = descriptor_of(robot)
     loaded = load_robot(robot)
     keys = keys_of(name if name is not None else loaded.descriptor.name)
@@ -123,7 +132,9 @@ def launch(
     arguments = ["--robot", str(find_robot(robot)), "--name", keys.robot, "--connect", endpoint, "--state", str(state)]
     choice = [] if strategy is None else ["--strategy", strategy]
     folders = [word for folder in meshes for word in ("--meshes", str(folder))]
-    simulated = {"leeloo_sim": ("zarm_leeloo_sim.service", [*arguments])} if driver is SimulatedDriver.sim else {}
+    simulated = {}
+    if driver is not None:
+        simulated[driver.service] = (f"zarm_{driver.service}.service", [*arguments, *physics])
     interfaces = [] if moveit is None else ["--moveit", "--group", moveit]
     bridge = {"ros_bridge": ("zarm_ros_bridge.service", [*arguments, *interfaces])} if ros else {}
     programs = {
@@ -201,7 +212,20 @@ def up(
     strategy: Annotated[
         str | None, typer.Option(help="Control strategy at the start (default: as in the descriptor).")
     ] = None,
-    driver: Annotated[SimulatedDriver | None, typer.Option(help="Also start a simulated driver.")] = None,
+    driver: Annotated[
+        SimulatedDriver | None, typer.Option(help="Also start a simulated driver: `sim` without mass, `physics` with.")
+    ] = None,
+    drives: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PRESET|FILE",
+            help="Drives of the physical driver: ideal, industrial, hobby, m1013, or a file.",
+            show_default=False,
+        ),
+    ] = None,
+    world: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="What stands around the physical driver.", show_default=False)
+    ] = None,
     ros: Annotated[bool, typer.Option("--ros", help="Also start the ROS 2 bridge.")] = False,
     moveit: Annotated[
         bool, typer.Option("--moveit", help="Also start the ROS 2 bridge, with the interface of MoveIt's move_group.")
@@ -256,6 +280,7 @@ def up(
             name=name,
             strategy=strategy,
             driver=driver,
+            physics=_physics(driver, drives, world),
             ros=ros,
             moveit=group if moveit else None,
             connect=connect,
@@ -269,6 +294,15 @@ def up(
         stack.wait_ready(lambda _: None)  # the services' own log lines report it
         _say_ready(stack)
         stack.wait()
+
+
+def _physics(driver: SimulatedDriver | None, drives: str | None, world: Path | None) -> list[str]:
+    """The arguments of the physical driver. Raises BadParameter if another one is started."""
+    given = {"--drives": drives, "--world": world}
+    words = [word for option, value in given.items() if value is not None for word in (option, str(value))]
+    if words and driver is not SimulatedDriver.physics:
+        raise typer.BadParameter("this is for the physical driver; start it with --driver physics", param_hint=words[0])
+    return words
 
 
 def _typed(context: typer.Context, name: str) -> bool:

@@ -22,13 +22,13 @@ from support.trajectories import HOME, KEYS, ROBOT, forgiving, moved, patient, r
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import DriverFault, JointState
 from zarm_contract.robot import find_robot, load_robot
+from zarm_leeloo_sim.fingers import Fingers
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_client
 from zarm_simulated_driver.axes import Axes
 from zarm_simulated_driver.bus_side import BusSide
 from zarm_simulated_driver.driver import SimulatedDriver
-from zarm_leeloo_sim.fingers import Fingers
 from zarm_simulated_driver.player import Player
-from zarm_runtime.bus import Bus
-from zarm_runtime.session import open_client
 
 EXAMPLE = EXAMPLES / "zenoh_driver.py"
 

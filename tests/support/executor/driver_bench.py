@@ -25,8 +25,8 @@ from zarm_executor.guard import Guard
 from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.strategies import build_strategies
-from zarm_simulated_driver.player import CEILING, STEP, Player
 from zarm_runtime.expiry import Expiry
+from zarm_simulated_driver.player import CEILING, STEP, Player
 from zarm_trajectory.blending import blended
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array

@@ -19,9 +19,9 @@ from support.resources import ahead_of_others, burden
 from support.trajectories import HOME, plan, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import ExecutorState, JointState, Trajectory
-from zarm_simulated_driver.player import Kind
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_router
+from zarm_simulated_driver.player import Kind
 
 STEP = 0.01
 """Period of the simulated arm (s): counting its samples measures time on the arm's clock."""

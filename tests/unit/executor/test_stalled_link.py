@@ -14,8 +14,8 @@ from support.examples import examples
 from support.executor.driver_bench import MOVING, Case, DriverBench, distance_from
 from support.trajectories import HOME, trapezoid
 from zarm_contract.messages import DriverCommand
-from zarm_simulated_driver.player import CEILING
 from zarm_runtime.expiry import Expiry
+from zarm_simulated_driver.player import CEILING
 
 DRIVEN = [case for case in MOVING if case.strategy != "emulator"]
 STILL = 1e-3

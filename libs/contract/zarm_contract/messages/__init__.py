@@ -69,6 +69,7 @@ from zarm_contract.messages.motion import (
     Trajectory,
     Vector3,
 )
+from zarm_contract.messages.physics import BodyPose, Contact, PhysicsState
 from zarm_contract.messages.planner import (
     POSE_COMPONENTS,
     CancelledPlan,
@@ -167,6 +168,7 @@ __all__ = [
     "AttachObject",
     "Attached",
     "Authority",
+    "BodyPose",
     "CancelPlan",
     "CancelRequest",
     "CancelledPlan",
@@ -176,6 +178,7 @@ __all__ = [
     "CheckResult",
     "CheckResults",
     "ClearScene",
+    "Contact",
     "Cuboid",
     "Cylinder",
     "Detach",
@@ -232,6 +235,7 @@ __all__ = [
     "PathConstraint",
     "PathGoal",
     "PathPoint",
+    "PhysicsState",
     "Plan",
     "PlanRequest",
     "PlanTimings",

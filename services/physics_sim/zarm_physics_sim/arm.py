@@ -1,0 +1,149 @@
+"""The arm with mass: its drives follow what a player makes of the commands."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.gripper import Gripper
+from zarm_contract.messages import Attached, DriverGripperCommand
+from zarm_physics_sim.drives import Drives, DriveSettings
+from zarm_physics_sim.simulation import STEP, Simulation
+from zarm_physics_sim.world import World
+from zarm_simulated_driver import player
+from zarm_simulated_driver.player import Player
+
+Array = NDArray[np.float64]
+
+_STEPS = round(player.STEP / STEP)
+_EVERY = 2
+"""A report is made at every this many steps of the player."""
+_CEILING = np.pi / 180.0
+_FINGER_GAIN = 750.0
+"""Force of a gripper's drive per distance of the opening from the commanded one (N/m), up to the commanded force ..."""
+_FINGER_DAMPING = 15.0
+"""... and its damping (N s/m)."""
+
+
+@dataclass
+class Finger:
+    """The drive of one gripper: its joint goes to `target` at `speed` (rad/s, m/s), the fingers press with at most `force` (N)."""
+
+    gripper: Gripper
+    target: float
+    reference: float
+    speed: float
+    force: float
+    command: DriverGripperCommand | None = field(default=None)
+
+
+class PhysicalArm:
+    """The arm of a simulation, whose joints are numbered as in the driver; `order` (J,) gives the descriptor's number of
+    each. `report` gets the simulation 50 times a second. Another thread may replace the world.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        settings: DriveSettings,
+        order: Sequence[int],
+        seed: int,
+        report: Callable[[Simulation], None],
+    ) -> None:
+        self._simulation, self._order = simulation, np.array(order)
+        self._report, self._steps = report, 0
+        self._lock = threading.Lock()
+        start = simulation.position[self._order]
+        self._player = Player(start, plays=settings.plays, ceiling=_CEILING * settings.ceiling, lag=settings.lag)
+        self._drives = Drives(settings, simulation.limit[self._order], STEP, np.random.default_rng(seed))
+        simulation.set_friction(settings.friction * simulation.largest, settings.viscous * simulation.largest)
+        grippers = simulation.robot.descriptor.grippers
+        self.fingers = {
+            name: Finger(gripper, at, at, gripper.joint_speed * gripper.speed, gripper.force)
+            for (name, gripper), at in zip(grippers.items(), simulation.gripper_position, strict=True)
+        }
+        self._measured: tuple[Array, Array] = start, np.zeros(len(start))
+
+    @property
+    def simulation(self) -> Simulation:
+        """The present simulation."""
+        return self._simulation
+
+    @property
+    def position(self) -> Array:
+        """Measured positions (J,), rad."""
+        return self._measured[0]
+
+    @property
+    def velocity(self) -> Array:
+        """Measured velocities (J,), rad/s."""
+        return self._measured[1]
+
+    @property
+    def played(self) -> int:
+        """How many points of the last command are played."""
+        return self._player.played
+
+    @property
+    def total(self) -> int:
+        """How many points the last command had."""
+        return self._player.total
+
+    def play(self, positions: Array, velocities: Array) -> int:
+        """Play these points, see `Player.play`."""
+        return self._player.play(positions, velocities)
+
+    def displace(self, offset: Array) -> None:
+        """Be elsewhere at once, at rest, by `offset` (J,) rad."""
+        self._player.displace(offset)
+        with self._lock:
+            moved = self._simulation.position
+            moved[self._order] += offset
+            self._simulation.place(moved)
+
+    def step(self, *, stalled: bool = False) -> None:
+        """Let `player.STEP` seconds pass; see `Player.step`."""
+        before = self._player.position, self._player.velocity
+        self._player.step(stalled=stalled)
+        acceleration = (self._player.velocity - before[1]) / player.STEP
+        with self._lock:
+            for k in range(1, _STEPS + 1):
+                passed = k * STEP
+                speed = before[1] + acceleration * passed
+                place = before[0] + (before[1] + 0.5 * acceleration * passed) * passed
+                self._substep((place, speed, acceleration))
+            self._steps += 1
+            if self._steps % _EVERY == 0:
+                self._report(self._simulation)
+
+    def _substep(self, reference: tuple[Array, Array, Array]) -> None:
+        simulation, order = self._simulation, self._order
+        self._measured = self._drives.measured(simulation.position[order], simulation.velocity[order])
+        torque = np.empty(len(order))
+        torque[order] = self._drives.torque(
+            reference, self._measured, simulation.mass[np.ix_(order, order)], simulation.bias[order]
+        )
+        simulation.step(torque, self._finger_forces())
+
+    def _finger_forces(self) -> Array:
+        simulation = self._simulation
+        forces = np.zeros(len(self.fingers))
+        states = zip(self.fingers.values(), simulation.gripper_position, simulation.gripper_velocity, strict=True)
+        for k, (finger, position, velocity) in enumerate(states):
+            most = finger.speed * STEP
+            finger.reference += min(max(finger.target - finger.reference, -most), most)
+            scale = finger.gripper.joint_speed
+            force = (_FINGER_GAIN * (finger.reference - position) - _FINGER_DAMPING * velocity) / scale**2
+            forces[k] = min(max(force, -finger.force / scale), finger.force / scale)
+        return forces
+
+    def change_world(self, world: World, carried: Sequence[Attached]) -> None:
+        """Go on in another world."""
+        changed = self._simulation.in_world(world, carried)
+        with self._lock:
+            changed.go_on_from(self._simulation)
+            self._simulation = changed

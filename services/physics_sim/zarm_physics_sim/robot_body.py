@@ -1,0 +1,73 @@
+"""The robot as bodies, joints and geoms of MuJoCo."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+
+from zarm_contract.robot import RobotDescription
+from zarm_contract.urdf import Inertial, Joint
+from zarm_physics_sim.shapes import link_geom, of_rpy
+
+_LEAST_MASS = 1e-3
+_LEAST_INERTIA = 1e-6
+"""Of a link that has neither geometry nor a stated inertia (kg, kg m²)."""
+
+
+def add_robot(spec: mujoco.MjSpec, robot: RobotDescription, inertials: dict[str, Inertial], density: float) -> None:
+    """Add the links with their exact geometry; those without an inertial get a `density` (kg/m³).
+
+    Bodies and joints have their names in the URDF. The joints of the arm and those of the grippers move within their
+    limits; what follows a gripper's joint is held to it.
+    """
+    descriptor, urdf = robot.descriptor, robot.urdf
+    moving = {*descriptor.joints}
+    followers: dict[str, tuple[str, float, float]] = {}
+    for gripper in descriptor.grippers.values():
+        for name, (multiplier, offset) in gripper.joints(urdf).items():
+            moving.add(name)
+            if name != gripper.joint:
+                followers[name] = (gripper.joint, multiplier, offset)
+    children: dict[str, list[Joint]] = {}
+    for joint in urdf.joint_of_child.values():
+        children.setdefault(joint.parent, []).append(joint)
+
+    def add(parent: Any, link: str, joint: Joint | None) -> None:
+        pose = {} if joint is None else {"pos": list(joint.xyz), "quat": of_rpy(joint.rpy)}
+        body = parent.add_body(name=link, **pose)
+        if joint is not None and joint.name in moving:
+            _add_joint(body, joint)
+        shapes = descriptor.collision.get(link, ())
+        for shape in shapes:
+            body.add_geom(density=density, **link_geom(shape))
+        if (inertial := inertials.get(link)) is not None:
+            _set_inertia(body, inertial.mass, inertial.xyz, of_rpy(inertial.rpy), inertial.inertia)
+        elif not shapes:
+            least = (_LEAST_INERTIA, _LEAST_INERTIA, _LEAST_INERTIA, 0.0, 0.0, 0.0)
+            _set_inertia(body, _LEAST_MASS, (0.0, 0.0, 0.0), [1.0, 0.0, 0.0, 0.0], least)
+        for child in children.get(link, ()):
+            add(body, child.child, child)
+
+    add(spec.worldbody, descriptor.base_link, None)
+    for one, other in descriptor.self_collision_ignore:
+        spec.add_exclude(bodyname1=one, bodyname2=other)
+    for name, (driver, multiplier, offset) in followers.items():
+        spec.add_equality(
+            type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=name, name2=driver,
+            data=[offset, multiplier, *[0.0] * 10],
+        )  # fmt: skip
+
+
+def _add_joint(body: Any, joint: Joint) -> None:
+    slides = joint.type == "prismatic"
+    kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
+    limits = (
+        {} if joint.lower is None or joint.upper is None else {"range": [joint.lower, joint.upper], "limited": True}
+    )
+    body.add_joint(name=joint.name, type=kind, axis=list(joint.axis), **limits)
+
+
+def _set_inertia(body: Any, mass: float, center: Any, orientation: list[float], inertia: Any) -> None:
+    body.explicitinertial = True
+    body.mass, body.ipos, body.iquat, body.fullinertia = mass, list(center), orientation, list(inertia)

@@ -1,0 +1,244 @@
+"""The simulated world: a robot with mass among things, in steps of 1 ms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.messages import Attached
+from zarm_contract.robot import RobotDescription
+from zarm_physics_sim.inertia import usable_inertials
+from zarm_physics_sim.robot_body import add_robot
+from zarm_physics_sim.world import World, add_object, body_name, object_name
+
+Array = NDArray[np.float64]
+
+STEP = 0.001
+"""Time step, s."""
+_ACCELERATION = 400.0
+"""The acceleration (rad/s²) of a motor with its gear alone, by the largest torque: so much inertia has its rotor."""
+_FINGER_ARMATURE = 0.025
+"""The same of grippers, as the mass that the opening has (kg)."""
+_HOLDING = 1.1
+"""An effort below this many times what holds the arm at home is no limit of the joint's torque."""
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Two bodies that touch at `position` (3,), with this normal force (N)."""
+
+    first: str
+    second: str
+    position: Array
+    force: float
+
+
+class Simulation:
+    """The robot at `position` (J,), in the descriptor's order, in a world. `faults` say what of the URDF is not used as stated, and
+    `assumed` are the links whose inertia is that of their geometry.
+
+    `limit` (J,) are the largest torques (Nm, N), infinite where the URDF's effort cannot hold the arm at home; `largest` (J,) are
+    assumptions there. Links without a stated inertia get `density` (kg/m³). `carried` are objects that are attached to a link; one that is also in the world is
+    welded to it.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        world: World,
+        position: Array,
+        *,
+        density: float = 1000.0,
+        carried: Sequence[Attached] = (),
+    ) -> None:
+        self.robot, self.world, self._density, self._carried = robot, world, density, tuple(carried)
+        self._welds: list[Attached] = []
+        inertials, self.faults = usable_inertials(robot)
+        self.assumed = [
+            link for link in robot.descriptor.collision if link not in inertials and link != robot.descriptor.base_link
+        ]
+        spec = mujoco.MjSpec()
+        spec.compiler.degree, spec.compiler.autolimits = False, False
+        spec.option.timestep = STEP
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # what is held slides less
+        spec.option.impratio = 10.0
+        add_robot(spec, robot, inertials, density)
+        world.add_to(spec)
+        for item in carried:
+            self._carry(spec, item)
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        self._joints = _Joints.of(self._model, robot.descriptor.joints)
+        grippers = robot.descriptor.grippers
+        self._grippers = _Joints.of(self._model, [gripper.joint for gripper in grippers.values()])
+        self._data.qpos[self._joints.positions] = robot.descriptor.home
+        for gripper in grippers.values():
+            for name, (multiplier, offset) in gripper.joints(robot.urdf).items():
+                self._data.joint(name).qpos[0] = multiplier * gripper.positions[-1] + offset
+        mujoco.mj_forward(self._model, self._data)
+        for gripper, dof in zip(grippers.values(), self._grippers.speeds, strict=True):
+            self._model.dof_armature[dof] = _FINGER_ARMATURE / gripper.joint_speed**2
+        holding = np.abs(self.bias)
+        efforts = {joint.name: joint.effort for joint in robot.urdf.joint_of_child.values()}
+        stated = np.array([efforts[name] or 0.0 for name in robot.descriptor.joints])
+        self.limit: Array = np.where(stated > _HOLDING * holding, stated, np.inf)
+        self.largest: Array = np.where(np.isfinite(self.limit), self.limit, 2.0 * holding + 10.0)
+        self._model.dof_armature[self._joints.speeds] = self.largest / _ACCELERATION
+        self._data.qpos[self._joints.positions] = position
+        mujoco.mj_forward(self._model, self._data)
+
+    def _carry(self, spec: mujoco.MjSpec, item: Attached) -> None:
+        link = item.link or self.robot.descriptor.tip_link
+        if item.object.name in self.world.dynamic:
+            if not self._gripped(item):
+                self._welds.append(item)
+                thing = body_name(item.object.name)
+                kind, bodies = mujoco.mjtEq.mjEQ_WELD, mujoco.mjtObj.mjOBJ_BODY
+                spec.add_equality(name=thing, type=kind, objtype=bodies, name1=link, name2=thing)
+            return
+        body = add_object(spec.body(link), item.object, None, self._density)
+        for touched in {link, *item.touch_links}:
+            spec.add_exclude(bodyname1=touched, bodyname2=body.name)
+
+    def _gripped(self, item: Attached) -> bool:
+        """Whether an attached object is between the fingers of a gripper, which hold it by friction."""
+        return any(
+            not {*gripper.pads}.isdisjoint(item.touch_links) for gripper in self.robot.descriptor.grippers.values()
+        )
+
+    def in_world(self, world: World, carried: Sequence[Attached]) -> Simulation:
+        """This robot in another world, to be used after `go_on_from`."""
+        return Simulation(self.robot, world, self.position, density=self._density, carried=carried)
+
+    def go_on_from(self, before: Simulation) -> None:
+        """Take over where everything is, and how it moves, from another simulation of the robot."""
+        old, new = before._model, self._model
+        for k in range(new.njnt):
+            name = new.joint(k).name
+            j = mujoco.mj_name2id(old, mujoco.mjtObj.mjOBJ_JOINT, name)
+            if j >= 0 and old.jnt_type[j] == new.jnt_type[k]:
+                self._data.joint(name).qpos[:] = before._data.joint(name).qpos
+                self._data.joint(name).qvel[:] = before._data.joint(name).qvel
+        self._data.time = before._data.time
+        self._model.dof_frictionloss[self._joints.speeds] = old.dof_frictionloss[before._joints.speeds]
+        self._model.dof_damping[self._joints.speeds] = old.dof_damping[before._joints.speeds]
+        mujoco.mj_forward(new, self._data)
+        for item in self._welds:
+            self._weld(item)
+
+    def _weld(self, item: Attached) -> None:
+        """Hold a thing where it is in the frame of its link."""
+        link, thing = (
+            self._data.body(item.link or self.robot.descriptor.tip_link),
+            self._data.body(body_name(item.object.name)),
+        )
+        back, turn, place = np.zeros(4), np.zeros(4), np.zeros(3)
+        mujoco.mju_negQuat(back, link.xquat)
+        mujoco.mju_rotVecQuat(place, thing.xpos - link.xpos, back)
+        mujoco.mju_mulQuat(turn, back, thing.xquat)
+        self._model.equality(body_name(item.object.name)).data[:] = [0.0, 0.0, 0.0, *place, *turn, 1.0]
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return float(self._data.time)
+
+    @property
+    def position(self) -> Array:
+        """True joint positions (J,)."""
+        return np.array(self._data.qpos[self._joints.positions])
+
+    @property
+    def velocity(self) -> Array:
+        """True joint velocities (J,)."""
+        return np.array(self._data.qvel[self._joints.speeds])
+
+    @property
+    def mass(self) -> Array:
+        """The mass matrix (J, J) of the arm, kg m²."""
+        whole = np.zeros((self._model.nv, self._model.nv))
+        mujoco.mj_fullM(self._model, self._data, whole)
+        return whole[np.ix_(self._joints.speeds, self._joints.speeds)]
+
+    @property
+    def bias(self) -> Array:
+        """The torques (J,) of gravity and speed."""
+        return np.array(self._data.qfrc_bias[self._joints.speeds])
+
+    @property
+    def torque(self) -> Array:
+        """The torques (J,) of the drives."""
+        return np.array(self._data.qfrc_applied[self._joints.speeds])
+
+    @property
+    def gripper_position(self) -> Array:
+        """Where the joint of each gripper is (G,)."""
+        return np.array(self._data.qpos[self._grippers.positions])
+
+    @property
+    def gripper_velocity(self) -> Array:
+        """How fast the joint of each gripper moves (G,)."""
+        return np.array(self._data.qvel[self._grippers.speeds])
+
+    def set_friction(self, dry: Array, viscous: Array) -> None:
+        """Friction of the joints: dry (J,), Nm, and per speed (J,), Nm s."""
+        self._model.dof_frictionloss[self._joints.speeds] = dry
+        self._model.dof_damping[self._joints.speeds] = viscous
+
+    def place(self, position: Array) -> None:
+        """Put the arm at rest at `position` (J,)."""
+        self._data.qpos[self._joints.positions] = position
+        self._data.qvel[self._joints.speeds] = 0.0
+        mujoco.mj_forward(self._model, self._data)
+
+    def step(self, torque: Array, gripper_force: Array) -> None:
+        """Let `STEP` seconds pass with these torques (J,) on the joints, and forces (G,) on the joints of the grippers."""
+        self._data.qfrc_applied[self._joints.speeds] = torque
+        self._data.qfrc_applied[self._grippers.speeds] = gripper_force
+        mujoco.mj_step(self._model, self._data)
+
+    def contacts(self) -> Iterator[Contact]:
+        """What contacts: links, objects and the floor."""
+        force = np.zeros(6)
+        for k in range(self._data.ncon):
+            contact = self._data.contact[k]
+            mujoco.mj_contactForce(self._model, self._data, k, force)
+            if force[0] > 0.0:
+                yield Contact(
+                    self._name(contact.geom1), self._name(contact.geom2), np.array(contact.pos), float(force[0])
+                )
+
+    def poses(self) -> Mapping[str, tuple[Array, Array]]:
+        """Position (3,) and orientation `[x, y, z, w]` of everything that moves freely."""
+        found = {}
+        for name in self.world.dynamic:
+            body = self._data.body(body_name(name))
+            w, x, y, z = body.xquat
+            found[name] = (np.array(body.xpos), np.array([x, y, z, w]))
+        return found
+
+    def _name(self, geom: int) -> str:
+        body = self._model.geom_bodyid[geom]
+        return "floor" if body == 0 else object_name(self._model.body(body).name)
+
+
+@dataclass(frozen=True)
+class _Joints:
+    """Indices of joints in the positions and the speeds of MuJoCo."""
+
+    positions: NDArray[np.intp]
+    speeds: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, model: Any, names: Sequence[str]) -> _Joints:
+        joints = [model.joint(name) for name in names]
+        return cls(
+            np.array([joint.qposadr[0] for joint in joints], dtype=np.intp),
+            np.array([joint.dofadr[0] for joint in joints], dtype=np.intp),
+        )
