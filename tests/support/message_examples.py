@@ -476,6 +476,19 @@ EXAMPLES: tuple[Message, ...] = (
     ),
     m.DriverProgress(sequence=7, fraction=0.5, problem="the controller is inactive"),
     m.DriverFault(stall=True, drop=0.5, delay=0.2, silent=True, die=True, jump=(0.1, -0.2), obstacle=0.03),
+    # physics
+    m.BodyPose(name="cube", position=(0.5, 0.0, 0.02), orientation=(0.0, 0.0, 0.0, 1.0)),
+    m.Contact(first="panda_leftfinger", second="cube", position=(0.5, 0.02, 0.02), force=12.5),
+    m.PhysicsState(
+        stamp=1700000000.25,
+        time=12.5,
+        real_time_factor=1.0,
+        position=(0.1, -0.2),
+        velocity=(0.0, 0.5),
+        effort=(12.0, -3.5),
+        bodies=(m.BodyPose(name="cube", position=(0.5, 0.0, 0.02), orientation=(0.0, 0.0, 0.0, 1.0)),),
+        contacts=(m.Contact(first="floor", second="cube", position=(0.5, 0.0, 0.0), force=1.96),),
+    ),
     # every service
     m.Nothing(),
     m.Requester(client="93ba8b5e23a74bca83fc0b3d1f94feb6", timeout=6.5),

@@ -23,14 +23,14 @@ _STEPS = round(player.STEP / STEP)
 _EVERY = 2
 """A report is made at every this many steps of the player."""
 _CEILING = np.pi / 180.0
-_FINGER_GAIN = 750.0
+_FINGER_GAIN = 7500.0
 """Force of a gripper's drive per distance of the opening from the commanded one (N/m), up to the commanded force ..."""
-_FINGER_DAMPING = 15.0
+_FINGER_DAMPING = 30.0
 """... and its damping (N s/m)."""
 
 
 @dataclass
-class Finger:
+class GripperDrive:
     """The drive of one gripper: its joint goes to `target` at `speed` (rad/s, m/s), the fingers press with at most `force` (N)."""
 
     gripper: Gripper
@@ -61,11 +61,19 @@ class PhysicalArm:
         self._player = Player(start, plays=settings.plays, ceiling=_CEILING * settings.ceiling, lag=settings.lag)
         self._drives = Drives(settings, simulation.limit[self._order], STEP, np.random.default_rng(seed))
         simulation.set_friction(settings.friction * simulation.largest, settings.viscous * simulation.largest)
-        grippers = simulation.robot.descriptor.grippers
-        self.fingers = {
-            name: Finger(gripper, at, at, gripper.joint_speed * gripper.speed, gripper.force)
-            for (name, gripper), at in zip(grippers.items(), simulation.gripper_position, strict=True)
+        self.grippers = {
+            name: GripperDrive(
+                gripper,
+                gripper.positions[-1],
+                gripper.positions[-1],
+                gripper.joint_speed * gripper.speed,
+                gripper.force,
+            )
+            for name, gripper in simulation.robot.descriptor.grippers.items()
         }
+        self._finger_scales = [
+            (finger.stiffness(simulation.robot), finger.force(simulation.robot)) for finger in simulation.fingers
+        ]
         self._measured: tuple[Array, Array] = start, np.zeros(len(start))
 
     @property
@@ -131,14 +139,18 @@ class PhysicalArm:
 
     def _finger_forces(self) -> Array:
         simulation = self._simulation
-        forces = np.zeros(len(self.fingers))
-        states = zip(self.fingers.values(), simulation.gripper_position, simulation.gripper_velocity, strict=True)
-        for k, (finger, position, velocity) in enumerate(states):
-            most = finger.speed * STEP
-            finger.reference += min(max(finger.target - finger.reference, -most), most)
-            scale = finger.gripper.joint_speed
-            force = (_FINGER_GAIN * (finger.reference - position) - _FINGER_DAMPING * velocity) / scale**2
-            forces[k] = min(max(force, -finger.force / scale), finger.force / scale)
+        for drive in self.grippers.values():
+            most = drive.speed * STEP
+            drive.reference += min(max(drive.target - drive.reference, -most), most)
+        drives = {id(drive.gripper): drive for drive in self.grippers.values()}
+        forces = np.zeros(len(simulation.fingers))
+        states = zip(simulation.fingers, simulation.finger_position, simulation.finger_velocity, strict=True)
+        for k, ((finger, position, velocity), (stiff, share)) in enumerate(
+            zip(states, self._finger_scales, strict=True)
+        ):
+            drive = drives[id(finger.gripper)]
+            force = stiff * (_FINGER_GAIN * (finger.at(drive.reference) - position) - _FINGER_DAMPING * velocity)
+            forces[k] = min(max(force, -drive.force * share), drive.force * share)
         return forces
 
     def change_world(self, world: World, carried: Sequence[Attached]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from zarm_contract.messages import DriverGripperCommand, DriverGripperState
-from zarm_physics_sim.arm import Finger, PhysicalArm
+from zarm_physics_sim.arm import GripperDrive, PhysicalArm
 
 _EVERY = 5
 """A gripper at rest is reported at every this many steps."""
@@ -27,25 +27,27 @@ class PhysicalHands:
 
     def play(self, command: DriverGripperCommand) -> None:
         """Move to this from the next step on."""
-        if (finger := self._arm.fingers.get(command.gripper)) is not None:
-            finger.command, finger.target = command, command.position
-            finger.speed, finger.force = command.speed, command.force
+        if (drive := self._arm.grippers.get(command.gripper)) is not None:
+            drive.command, drive.target = command, command.position
+            drive.speed, drive.force = command.speed, command.force
             self._still[command.gripper] = 0.0
 
     def step(self, dt: float, obstacle: float | None, report: Callable[[DriverGripperState], None]) -> None:
         """Report after `dt` s in which fingers do not close further than `obstacle` (m)."""
         self._steps += 1
         simulation = self._arm.simulation
-        states = zip(simulation.gripper_position, simulation.gripper_velocity, strict=True)
-        for (name, finger), (position, velocity) in zip(self._arm.fingers.items(), states, strict=True):
-            if finger.command is not None:
-                finger.target = _stopped(finger, obstacle)
+        joints = [finger.joint for finger in simulation.fingers]
+        for name, drive in self._arm.grippers.items():
+            driven = joints.index(drive.gripper.joint)
+            position, velocity = simulation.finger_position[driven], simulation.finger_velocity[driven]
+            if drive.command is not None:
+                drive.target = _stopped(drive, obstacle)
             self._still[name] = self._still.get(name, 0.0) + dt if abs(velocity) < _STILL else 0.0
             if self._still[name] == 0.0 or self._steps % _EVERY == 0:
-                report(self._state(name, finger, float(position)))
+                report(self._state(name, drive, float(position)))
 
-    def _state(self, name: str, finger: Finger, position: float) -> DriverGripperState:
-        command = finger.command
+    def _state(self, name: str, drive: GripperDrive, position: float) -> DriverGripperState:
+        command = drive.command
         if command is None:
             return DriverGripperState(gripper=name, position=position)
         there = abs(position - command.position) < _THERE
@@ -55,9 +57,9 @@ class PhysicalHands:
         )
 
 
-def _stopped(finger: Finger, obstacle: float | None) -> float:
+def _stopped(drive: GripperDrive, obstacle: float | None) -> float:
     """Where the fingers go beside an imagined object of a width (m)."""
-    wanted = finger.command.position if finger.command is not None else finger.target
-    if obstacle is None or finger.gripper.width(wanted) >= obstacle:
+    wanted = drive.command.position if drive.command is not None else drive.target
+    if obstacle is None or drive.gripper.width(wanted) >= obstacle:
         return wanted
-    return finger.gripper.position(obstacle)
+    return drive.gripper.position(obstacle)

@@ -10,8 +10,8 @@ from zarm_contract.robot import RobotDescription
 from zarm_contract.urdf import Inertial, Joint
 from zarm_physics_sim.shapes import link_geom, of_rpy
 
-_LEAST_MASS = 1e-3
-_LEAST_INERTIA = 1e-6
+_LEAST_MASS = 1e-6
+_LEAST_INERTIA = 1e-9
 """Of a link that has neither geometry nor a stated inertia (kg, kg m²)."""
 
 
@@ -55,7 +55,7 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotDescription, inertials: dict[str,
     for name, (driver, multiplier, offset) in followers.items():
         spec.add_equality(
             type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=name, name2=driver,
-            data=[offset, multiplier, *[0.0] * 10],
+            data=[offset, multiplier, *[0.0] * (mujoco.mjNEQDATA - 2)],
         )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_contract.gripper import Gripper
 from zarm_contract.messages import Attached
 from zarm_contract.robot import RobotDescription
 from zarm_physics_sim.inertia import usable_inertials
@@ -20,9 +21,11 @@ Array = NDArray[np.float64]
 
 STEP = 0.001
 """Time step, s."""
+_STIFF = (4.0 * STEP, 1.0)
+"""Time constant (s) and damping of contacts: hard, so that light fingers do not sink into what they hold."""
 _ACCELERATION = 400.0
 """The acceleration (rad/s²) of a motor with its gear alone, by the largest torque: so much inertia has its rotor."""
-_FINGER_ARMATURE = 0.025
+_FINGER_ARMATURE = 0.05
 """The same of grippers, as the mass that the opening has (kg)."""
 _HOLDING = 1.1
 """An effort below this many times what holds the arm at home is no limit of the joint's torque."""
@@ -36,6 +39,31 @@ class Contact:
     second: str
     position: Array
     force: float
+
+
+@dataclass(frozen=True)
+class Finger:
+    """A joint of a gripper, which follows the gripper's driven joint with `multiplier` and `offset`."""
+
+    joint: str
+    multiplier: float
+    offset: float
+    gripper: Gripper
+
+    def at(self, position: float) -> float:
+        """Where the joint is with the driven one at `position`."""
+        return self.multiplier * position + self.offset
+
+    def stiffness(self, robot: RobotDescription) -> float:
+        """The stiffness of the joint if that of the opening is 1, and all joints of the gripper have their share of it."""
+        return 1.0 / (self.gripper.joint_speed**2 * self._joints(robot))
+
+    def force(self, robot: RobotDescription) -> float:
+        """The force or torque on the joint, with that on the fingers 1: with all joints they do the same work."""
+        return abs(self.multiplier) / (self.gripper.joint_speed * self._joints(robot))
+
+    def _joints(self, robot: RobotDescription) -> float:
+        return sum(multiplier**2 for multiplier, _ in self.gripper.joints(robot.urdf).values())
 
 
 class Simulation:
@@ -73,17 +101,22 @@ class Simulation:
         for item in carried:
             self._carry(spec, item)
         self._model = spec.compile()
+        self._model.geom_solref[:] = self._model.eq_solref[:] = _STIFF
         self._data = mujoco.MjData(self._model)
         self._joints = _Joints.of(self._model, robot.descriptor.joints)
-        grippers = robot.descriptor.grippers
-        self._grippers = _Joints.of(self._model, [gripper.joint for gripper in grippers.values()])
+        grippers = robot.descriptor.grippers.values()
+        self.fingers = tuple(
+            Finger(name, *follows, gripper)
+            for gripper in grippers
+            for name, follows in gripper.joints(robot.urdf).items()
+        )
+        self._fingers = _Joints.of(self._model, [finger.joint for finger in self.fingers])
         self._data.qpos[self._joints.positions] = robot.descriptor.home
-        for gripper in grippers.values():
-            for name, (multiplier, offset) in gripper.joints(robot.urdf).items():
-                self._data.joint(name).qpos[0] = multiplier * gripper.positions[-1] + offset
+        self._data.qpos[self._fingers.positions] = [finger.at(finger.gripper.positions[-1]) for finger in self.fingers]
         mujoco.mj_forward(self._model, self._data)
-        for gripper, dof in zip(grippers.values(), self._grippers.speeds, strict=True):
-            self._model.dof_armature[dof] = _FINGER_ARMATURE / gripper.joint_speed**2
+        self._model.dof_armature[self._fingers.speeds] = [
+            _FINGER_ARMATURE * finger.stiffness(robot) for finger in self.fingers
+        ]
         holding = np.abs(self.bias)
         efforts = {joint.name: joint.effort for joint in robot.urdf.joint_of_child.values()}
         stated = np.array([efforts[name] or 0.0 for name in robot.descriptor.joints])
@@ -142,7 +175,7 @@ class Simulation:
         mujoco.mju_negQuat(back, link.xquat)
         mujoco.mju_rotVecQuat(place, thing.xpos - link.xpos, back)
         mujoco.mju_mulQuat(turn, back, thing.xquat)
-        self._model.equality(body_name(item.object.name)).data[:] = [0.0, 0.0, 0.0, *place, *turn, 1.0]
+        self._model.equality(body_name(item.object.name)).data[:11] = [0.0, 0.0, 0.0, *place, *turn, 1.0]
 
     @property
     def time(self) -> float:
@@ -177,14 +210,14 @@ class Simulation:
         return np.array(self._data.qfrc_applied[self._joints.speeds])
 
     @property
-    def gripper_position(self) -> Array:
-        """Where the joint of each gripper is (G,)."""
-        return np.array(self._data.qpos[self._grippers.positions])
+    def finger_position(self) -> Array:
+        """Where the joints of the `fingers` are (F,)."""
+        return np.array(self._data.qpos[self._fingers.positions])
 
     @property
-    def gripper_velocity(self) -> Array:
-        """How fast the joint of each gripper moves (G,)."""
-        return np.array(self._data.qvel[self._grippers.speeds])
+    def finger_velocity(self) -> Array:
+        """How fast the joints of the `fingers` move (F,)."""
+        return np.array(self._data.qvel[self._fingers.speeds])
 
     def set_friction(self, dry: Array, viscous: Array) -> None:
         """Friction of the joints: dry (J,), Nm, and per speed (J,), Nm s."""
@@ -197,10 +230,10 @@ class Simulation:
         self._data.qvel[self._joints.speeds] = 0.0
         mujoco.mj_forward(self._model, self._data)
 
-    def step(self, torque: Array, gripper_force: Array) -> None:
-        """Let `STEP` seconds pass with these torques (J,) on the joints, and forces (G,) on the joints of the grippers."""
+    def step(self, torque: Array, finger_force: Array) -> None:
+        """Let `STEP` seconds pass with these torques (J,) on the joints, and these (F,) on those of the `fingers`."""
         self._data.qfrc_applied[self._joints.speeds] = torque
-        self._data.qfrc_applied[self._grippers.speeds] = gripper_force
+        self._data.qfrc_applied[self._fingers.speeds] = finger_force
         mujoco.mj_step(self._model, self._data)
 
     def contacts(self) -> Iterator[Contact]:
@@ -218,9 +251,8 @@ class Simulation:
         """Position (3,) and orientation `[x, y, z, w]` of everything that moves freely."""
         found = {}
         for name in self.world.dynamic:
-            body = self._data.body(body_name(name))
-            w, x, y, z = body.xquat
-            found[name] = (np.array(body.xpos), np.array([x, y, z, w]))
+            x, y, z, *orientation = self._data.joint(body_name(name)).qpos
+            found[name] = (np.array([x, y, z]), np.array([*orientation[1:], orientation[0]]))
         return found
 
     def _name(self, geom: int) -> str:
