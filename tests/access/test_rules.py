@@ -13,13 +13,15 @@ from support.harness import eventually, free_endpoint
 from zarm_contract.access import reading, rights
 from zarm_contract.key import Rights
 from zarm_contract.keys import client_token
-from zarm_contract.roles import ROLES, Role
+from zarm_contract.roles import EVERYONE, ROLES, Role
 from zarm_runtime.session import open_client, open_router
 
 MEMBERS = tuple(role for role in ROLES if role != "router")
 FORGED, TRUE = b"forged", b"true"
 SEPARATE = "zarm/no_robot/planner/health"
 """A key that every role may ask, and nobody answers."""
+
+PUBLIC = "zarm/some_robot/joint_states"
 
 
 class Sessions:
@@ -45,6 +47,22 @@ class Sessions:
         eventually(lambda: TRUE in heard, f"{owner} is heard on {key}")
         ear.undeclare()
         return FORGED in heard
+
+    def hears(self, role: Role, key: str, owner: Role) -> bool:
+        """Whether `role` gets what `owner` publishes on a key, whatever it subscribes to."""
+        heard: list[str] = []
+        with ExitStack() as stack:
+            for expression in (key, "zarm/some_robot/**"):
+                ear = self.asking[role].declare_subscriber(
+                    expression, lambda sample: heard.append(str(sample.key_expr))
+                )
+                stack.callback(ear.undeclare)
+            self.settle(self.asking[role])
+            self.of[owner].put(key, TRUE)
+            self.settle(self.of[owner])
+            self.of["executor"].put(PUBLIC, TRUE)
+            eventually(lambda: PUBLIC in heard, f"{role} hears what is for everyone")
+        return key in heard
 
     def answered(self, role: Role, key: str, requester: Role, by: Role) -> list[bytes]:
         """What `requester` is answered on a key that `by` serves, and `role` too."""
@@ -99,6 +117,14 @@ def test_what_a_role_publishes_is_heard_where_the_table_says_so_and_nowhere_else
     for key, granted in keys():
         for role in MEMBERS if granted.publishes else ():
             assert sessions.published(role, key, granted.publishes[0]) == (role in granted.publishes), (role, key)
+
+
+def test_what_has_readers_is_heard_by_no_other_role_not_even_by_a_wider_expression(sessions: Sessions) -> None:
+    for key, granted in keys():
+        if granted.reads == EVERYONE:
+            continue
+        for role in MEMBERS:
+            assert sessions.hears(role, key, granted.publishes[0]) == (role in granted.reads), (role, key)
 
 
 def test_nobody_answers_in_the_place_of_a_service(sessions: Sessions) -> None:

@@ -47,6 +47,13 @@ def test_only_operators_and_the_bridge_move_the_robot_and_change_what_it_plans_a
     assert allowed == {"operator", "bridge"}
 
 
+def test_who_moves_the_robot_cannot_read_the_truth_of_a_simulation() -> None:
+    for role in ("planner", "servo", "executor", "bridge"):
+        with pytest.raises(InvalidRequest, match="that is for the role operator or viewer"):
+            require(role, "reads", KEYS.physics_state)
+    require("viewer", "reads", KEYS.physics_state)
+
+
 def test_the_servo_may_ask_for_plans_too_for_it_steers_around_what_is_in_the_way() -> None:
     assert {role for role in ROLES if _may(role, KEYS.plan)} == {"operator", "bridge", "servo"}
 

@@ -58,7 +58,7 @@ def test_the_torque_of_gravity_is_the_slope_of_the_potential_energy(robot: Robot
         hand = model.fk_link("panda_hand", q) if robot is PANDA else np.eye(4)
         heights += [
             inertials[link].mass
-            * (hand @ [0.0, side * (0.04 + inertials[link].xyz[1]), 0.0584 + inertials[link].xyz[2], 1.0])[2]
+            * (hand @ [0.0, side * 0.04 + inertials[link].xyz[1], 0.0584 + inertials[link].xyz[2], 1.0])[2]
             for link, side in FINGERS.items()
             if link in inertials
         ]  # open
@@ -148,7 +148,9 @@ def test_a_gripper_holds_by_friction_what_is_light_enough(mass: float, held: boo
     command = DriverGripperCommand(gripper="hand", sequence=1, position=0.0, speed=0.05, force=70.0)
     PhysicalHands(arm).play(command)
     pass_time(arm, 1.0)
-    assert simulation.finger_position == pytest.approx(0.024, abs=1e-3), "the cube stops the fingers, whose tips are balls"
+    assert simulation.finger_position == pytest.approx(0.024, abs=1e-3), (
+        "the cube stops the fingers, whose tips are balls"
+    )
     arm.change_world(World({"cube": thing}, world.dynamic), ())  # the table is taken away
     pass_time(arm, 1.0)
     height = arm.simulation.poses()["cube"][0][2]

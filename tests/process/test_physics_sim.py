@@ -1,0 +1,134 @@
+"""A robot with mass behind the same keys: what is planned is driven, gripped and carried, and nothing else changes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+
+import zarm
+from support.driven_panda import driven_panda
+from support.harness import ServiceProcess, eventually, router
+from zarm_contract.keys import Keys
+from zarm_contract.messages import DriverFault, PhysicsState
+from zarm_contract.robot import load_robot
+from zarm_runtime.bus import Bus
+
+DOWN = (1.0, 0.0, 0.0, 0.0)
+WORLD = """
+floor: 0.0
+objects:
+  - {kind: cuboid, name: cube, position: [0.5, 0.0, 0.02], size: [0.04, 0.04, 0.04]}
+dynamic:
+  cube: {mass: 0.2}
+"""
+
+
+class Cell:
+    """A robot with mass, its planner and executor, a client, and the truth."""
+
+    def __init__(self, stack: ExitStack, folder: Path, robot: str, *physics: str, strategy: str) -> None:
+        self.endpoint = stack.enter_context(router())
+        self.bus = stack.enter_context(Bus(self.endpoint))
+        self.keys = Keys(load_robot(robot).descriptor.name)
+        self.truth: list[PhysicsState] = []
+        self.bus.subscribe(self.keys.physics_state, lambda _, state: self.truth.append(state))
+        started = {"physics_sim": physics, "planner": (), "executor": ("--strategy", strategy)}
+        for service, arguments in started.items():
+            process = ServiceProcess(service, self.endpoint, folder, robot, arguments=arguments)
+            stack.enter_context(process).wait_ready(self.bus, self.keys)
+        self.robot = stack.enter_context(zarm.connect(self.endpoint))
+
+    def after(self, event: int) -> PhysicsState:
+        """The first state of the truth beyond those counted."""
+        eventually(lambda: len(self.truth) > event, "the truth is published")
+        return self.truth[event]
+
+    def now(self) -> PhysicsState:
+        return self.after(len(self.truth))
+
+
+@contextmanager
+def cell_of(folder: Path, robot: str, *physics: str, strategy: str = "joint_trajectory") -> Iterator[Cell]:
+    with ExitStack() as stack:
+        yield Cell(stack, folder, robot, *physics, strategy=strategy)
+
+
+@pytest.mark.parametrize("strategy", ["joint_speed", "joint_pose", "joint_trajectory"])
+def test_what_is_planned_is_driven_by_every_strategy(strategy: str, tmp_path: Path) -> None:
+    with cell_of(tmp_path, "doosan_m1013", strategy=strategy) as cell:
+        cell.robot.scene.add(zarm.Cuboid("post", size=(0.1, 0.1, 1.0), position=(0.45, 0.45, 0.5)))
+        goal = (1.2, 0.2, 1.2, 0.1, 1.2, 0.3)
+        cell.robot.execute(cell.robot.plan(goal))
+        truth = cell.now()
+        assert truth.position == pytest.approx(goal, abs=0.01)
+        assert not [contact for state in cell.truth for contact in state.contacts], "it went round the post"
+        assert max(map(abs, truth.effort)) > 10.0, "the drives hold it up"
+
+
+def test_a_cube_is_gripped_carried_and_put_down_by_friction_alone(tmp_path: Path) -> None:
+    (tmp_path / "world.yaml").write_text(WORLD, encoding="utf-8")
+    robot = str(driven_panda(tmp_path))
+    with cell_of(tmp_path, robot, "--world", str(tmp_path / "world.yaml")) as cell:
+        cell.robot.scene.add(zarm.Cuboid("cube", size=(0.04, 0.04, 0.04), position=(0.5, 0.0, 0.0205)))
+        cell.robot.pick("cube", zarm.PoseGoal(zarm.Pose((0.5, 0.0, 0.022), DOWN), tolerance={"theta_z": 0.05}))
+        held = cell.now()
+        assert held.bodies[0].position[2] > 0.1
+        assert {name for contact in held.contacts for name in (contact.first, contact.second)} == {
+            "cube",
+            "panda_leftfinger",
+            "panda_rightfinger",
+        }
+        cell.robot.place(zarm.Pose((0.4, 0.3, 0.03), DOWN))
+        eventually(lambda: cell.now().bodies[0].position[2] < 0.03, "the cube stands on the floor")
+        assert cell.now().bodies[0].position[:2] == pytest.approx((0.4, 0.3), abs=0.02)
+
+
+def test_things_fall_from_a_robot_that_lets_them_go(tmp_path: Path) -> None:
+    """An arm without a gripper carries what is attached to it."""
+    (tmp_path / "world.yaml").write_text(WORLD, encoding="utf-8")
+    with cell_of(tmp_path, "ur5e", "--world", str(tmp_path / "world.yaml")) as cell:
+        cell.robot.scene.add(zarm.Cuboid("cube", size=(0.04, 0.04, 0.04), position=(0.5, 0.0, 0.02)))
+        cell.robot.execute(cell.robot.plan(zarm.Pose((0.5, 0.0, 0.1), DOWN)))
+        cell.robot.scene.attach("cube")
+        cell.robot.execute(cell.robot.plan(zarm.Pose((0.4, 0.3, 0.4), DOWN)))
+        assert cell.now().bodies[0].position == pytest.approx((0.4, 0.3, 0.32), abs=0.01)
+        cell.robot.scene.detach("cube")
+        eventually(lambda: cell.now().bodies[0].position[2] < 0.03, "it has fallen to the floor")
+
+
+def test_the_health_of_the_driver_says_what_it_assumes(tmp_path: Path) -> None:
+    with cell_of(tmp_path, "doosan_m1013") as cell:
+        note = cell.robot.health("physics_sim", timeout=5.0).note
+        assert "inertia from geometry with 1000 kg/m³: link_1, link_2" in note
+
+
+def test_it_has_the_faults_of_a_simulated_driver(tmp_path: Path) -> None:
+    with cell_of(tmp_path, "doosan_m1013") as cell:
+        cell.bus.call(cell.keys.simulated_fault, DriverFault(silent=True), timeout=5.0)
+        plan = cell.robot.plan((0.5, 0.0, 1.5708, 0.0, 1.5708, 0.0))
+        with pytest.raises(zarm.ExecutionFailed, match="has reported no new joints"):
+            cell.robot.execute(plan)
+        cell.bus.call(cell.keys.simulated_fault, DriverFault(), timeout=5.0)
+
+
+@pytest.mark.parametrize(
+    ("option", "text", "words"),
+    [
+        ("--drives", "bandwith: 3.0\n", "drives.yaml:1: bandwith: "),
+        ("--world", "objects:\n  - {kind: cuboid, name: a, position: [0, 0, 0]}\n", "world.yaml:2: "),
+        ("--world", "objects: []\ndynamic:\n  b: {mass: 1}\n", "no object is named b"),
+        ("--drives", None, "neither a file nor one of the presets ideal, industrial, hobby, m1013"),
+    ],
+)
+def test_a_faulty_file_is_refused_with_its_line(
+    option: str, text: str | None, words: str, endpoint: str, tmp_path: Path
+) -> None:
+    file = tmp_path / f"{option[2:]}.yaml"
+    if text is not None:
+        file.write_text(text, encoding="utf-8")
+    with ServiceProcess("physics_sim", endpoint, tmp_path, "ur5e", arguments=(option, str(file))) as process:
+        assert process.process.wait(60) != 0
+        assert words in process.output()
