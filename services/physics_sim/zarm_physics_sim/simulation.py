@@ -87,9 +87,7 @@ class Simulation:
         self.robot, self.world, self._density, self._carried = robot, world, density, tuple(carried)
         self._welds: list[Attached] = []
         inertials, self.faults = usable_inertials(robot)
-        self.assumed = [
-            link for link in robot.descriptor.collision if link not in inertials and link != robot.descriptor.base_link
-        ]
+        self.assumed = [link for link in robot.descriptor.collision if link not in inertials and _moves(robot, link)]
         spec = mujoco.MjSpec()
         spec.compiler.degree, spec.compiler.autolimits = False, False
         spec.option.timestep = STEP
@@ -274,3 +272,8 @@ class _Joints:
             np.array([joint.qposadr[0] for joint in joints], dtype=np.intp),
             np.array([joint.dofadr[0] for joint in joints], dtype=np.intp),
         )
+
+
+def _moves(robot: RobotDescription, link: str) -> bool:
+    """Whether a joint moves the link."""
+    return any(joint.type != "fixed" for joint in robot.urdf.chain(robot.descriptor.base_link, link))

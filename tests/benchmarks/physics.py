@@ -1,0 +1,178 @@
+"""What a robot with mass makes of plans: `python tests/benchmarks/physics.py [--plans 30] [--seed 0]`.
+
+The M1013, its mass that of its geometry, among nine posts, is sent from one random configuration to the next, by each strategy of the executor and each
+preset of drives: planned, verified, driven by the real state machine, all on a simulated clock. From the true joints:
+
+- `off path`: how far a joint is from the path, whenever that is, the worst of each motion, median and worst (mrad);
+- `at the end`: how far from the goal the arm rests, the worst joint, median and worst (mrad);
+- `overshoot`: how far beyond the goal it has been before (mrad, worst);
+- `late`: how much longer the motion took than planned (s, median);
+- `flange`: acceleration of the tip as felt over 20 ms, worst over planned (ratio, median);
+- `contacts`: motions in which anything touched, though the plan keeps 10 mm; `failed`: goals that did not succeed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from support.arrivals import arrival
+from support.executor.driver_bench import EVERY, JOINTS, Case, DriverBench, distance_from
+from support.trajectories import HOME, ROBOT
+from zarm_contract.errors import ZarmError
+from zarm_contract.messages import AddObjects, Cuboid, JointGoal, PlanRequest, SceneEdit
+from zarm_executor.goal import Goal
+from zarm_executor.monitor import Monitor
+from zarm_geometry.robot_model import RobotModel
+from zarm_physics_sim.arm import PhysicalArm
+from zarm_physics_sim.drives import PRESETS
+from zarm_physics_sim.simulation import Simulation
+from zarm_physics_sim.world import World
+from zarm_planner.handlers import Handlers
+from zarm_planner.scene.store import SceneStore
+from zarm_simulated_driver.player import STEP
+from zarm_trajectory.trajectory import TimedTrajectory
+
+Array = NDArray[np.float64]
+
+MODEL = RobotModel.of(ROBOT)
+POSTS = tuple(
+    Cuboid(kind="cuboid", name=f"post_{k}", position=(0.7 * np.cos(a), 0.7 * np.sin(a), 0.4), size=(0.06, 0.06, 0.8))
+    for k, a in enumerate(np.linspace(0.3, 2 * np.pi, 9, endpoint=False))
+)
+LONGEST = 60.0
+STRATEGIES = ("joint_speed", "joint_pose", "joint_trajectory")
+
+
+class Arm(PhysicalArm):
+    """An arm of the bench, which looks at the points that are played."""
+
+    touched = False
+
+    @property
+    def fraction(self) -> float:
+        """The played share of the last command."""
+        return self.played / self.total if self.total else 1.0
+
+    @property
+    def feed(self) -> Array:
+        """The present commanded velocity (J,)."""
+        return self._player.feed
+
+
+def arm() -> tuple[Simulation, list[bool]]:
+    """The robot among the posts, and whether anything has touched."""
+    return Simulation(ROBOT, World({post.name: post for post in POSTS}, {}), HOME), []
+
+
+def measured(strategy: str, preset: str, plans: int, seed: int) -> list[str]:
+    """A row of the table."""
+    rng, settings = np.random.default_rng(seed), PRESETS[preset]
+    off, end, over, late, felt = [], [], [], [], []
+    counts: Counter[str] = Counter()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        handlers = Handlers(MODEL, "physics", SceneStore(folder), lambda: HOME)
+        handlers.warm_up(lambda _: None)
+        handlers.edit(SceneEdit(edit=AddObjects(op="add", objects=POSTS)))
+        bench = DriverBench(Case(strategy, settings.plays, EVERY), folder)
+        simulation, touches = arm()
+        physical = Arm(
+            simulation, settings, range(6), seed, lambda now: touches.append(any(True for _ in now.contacts()))
+        )
+        bench.arm = physical  # type: ignore[assignment]
+        bench.run(0.5)
+        while counts["plans"] < plans:
+            goal = rng.uniform([-2.5, -0.8, 0.6, -1.5, -0.5, -1.5], [2.5, 0.8, 2.0, 1.5, 1.8, 1.5])
+            start = tuple(bench.positions[-1].tolist())
+            try:
+                plan = handlers.plan(
+                    PlanRequest(goal=JointGoal(kind="joints", position=tuple(goal.tolist())), start=start)
+                )
+            except ZarmError:
+                continue
+            counts["plans"] += 1
+            path = TimedTrajectory.of(plan.trajectory, JOINTS)
+            touches.clear()
+            tips: list[Array] = []
+            true: list[Array] = []
+            bench.machine.start(Goal(f"goal-{counts['plans']}", None, path, Monitor(path, ROBOT.descriptor)), arrival())
+            began = bench.now
+            while bench.machine.state().mode != "idle" and bench.now < began + LONGEST:
+                bench.tick()
+                true.append(simulation.position)
+                tips.append(MODEL.fk_tip(true[-1])[:3, 3])
+                if bench.machine.state().mode == "fault":
+                    break
+            if bench.last().status != "succeeded":
+                counts["failed"] += 1
+                bench.machine.reset(arrival()) if bench.machine.state().mode == "fault" else None
+            took = bench.now - began
+            bench.run(0.5)
+            off.append(max(distance_from(path, q) for q in true[::5]))
+            rest, way = simulation.position, np.sign(path.position[-1] - path.position[0])
+            end.append(float(np.abs(rest - path.position[-1]).max()))
+            over.append(float((way * (np.array(true) - path.position[-1])).max()))
+            late.append(took - path.duration)
+            felt.append(_acceleration(np.array(tips), bench.period) / _planned(path))
+            counts["contacts"] += any(touches)
+    worst = [f"{1e3 * np.median(each):.1f} / {1e3 * max(each):.1f}" for each in (off, end)]
+    return [
+        strategy, preset, *worst, f"{1e3 * max(over):.1f}", f"{np.median(late):.2f}", f"{np.median(felt):.2f}",
+        f"{counts['contacts']} / {plans}", str(counts["failed"]),
+    ]  # fmt: skip
+
+
+def _acceleration(tips: Array, period: float) -> float:
+    """The largest acceleration (m/s²) of a point that passes `tips` (N, 3) in time, over two periods."""
+    velocity = (tips[2:] - tips[:-2]) / (2 * period)
+    return float(np.linalg.norm((velocity[2:] - velocity[:-2]) / (2 * period), axis=1).max())
+
+
+def _planned(path: TimedTrajectory) -> float:
+    times = np.arange(0.0, path.duration, STEP)
+    return _acceleration(np.array([MODEL.fk_tip(q)[:3, 3] for q in path.sample(times)[0]]), STEP)
+
+
+def main() -> None:
+    """Print the table."""
+    logging.disable()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--plans", type=int, default=30, help="motions per row")
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    columns = (
+        "strategy",
+        "drives",
+        "off path mrad",
+        "at the end mrad",
+        "overshoot mrad",
+        "late s",
+        "flange",
+        "contacts",
+        "failed",
+    )
+    table, began = Table(*columns), time.monotonic()
+    for preset, settings in PRESETS.items():
+        for strategy in STRATEGIES:
+            if strategy == "joint_pose" and settings.plays == "velocity":
+                continue
+            table.add_row(*measured(strategy, preset, arguments.plans, arguments.seed))
+    Console(width=160).print(table)
+    print(f"{time.monotonic() - began:.0f} s")
+
+
+if __name__ == "__main__":
+    main()
