@@ -17,7 +17,6 @@ import argparse
 import logging
 import sys
 import tempfile
-import time
 from collections import Counter
 from pathlib import Path
 
@@ -164,14 +163,13 @@ def main() -> None:
         "contacts",
         "failed",
     )
-    table, began = Table(*columns), time.monotonic()
+    table = Table(*columns)
     for preset, settings in PRESETS.items():
         for strategy in STRATEGIES:
             if strategy == "joint_pose" and settings.plays == "velocity":
                 continue
             table.add_row(*measured(strategy, preset, arguments.plans, arguments.seed))
     Console(width=160).print(table)
-    print(f"{time.monotonic() - began:.0f} s")
 
 
 if __name__ == "__main__":

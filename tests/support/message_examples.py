@@ -34,6 +34,7 @@ _PROBLEM = Problem(
     fraction=0.75,
 )
 _TIMINGS = m.PlanTimings(ik=0.001, search=0.002, shortcut=0.004, timing=0.008, verify=0.016, optimize=0.02, total=0.052)
+_TORQUE = m.PlanTorque(joint="joint_2", share=0.9, time=0.25, stretch=1.1)
 _TOOL_MOTION = m.ToolMotion(length=0.4, speed=0.1, rotational_speed=0.7, speed_share=0.875)
 _TOO_NEAR = m.TooNear(pair=("link_3", "table"), distance=0.002, margin=0.03, time=0.75)
 _CUBOID = m.Cuboid(
@@ -74,8 +75,10 @@ _CLOUD = m.PointCloud(
 )
 _PACKED = m.PointCloud(kind="cloud", name="far", points="AAAAAAAA8D8AAAAAAAAAQAAAAAAAAAhA")
 _OBJECTS = (_CUBOID, _SPHERE, _CAPSULE, _CYLINDER, _MESH, _VOXELS)
-_ATTACHED = m.Attached(object=_CUBOID, touch_links=("finger_left",), parts=(_CUBOID,), link="left_tcp")
-_ATTACH = m.AttachObject(op="attach", name="table", touch_links=("finger_left",), joints=(0.1, 0.2), link="left_tcp")
+_ATTACHED = m.Attached(object=_CUBOID, touch_links=("finger_left",), parts=(_CUBOID,), link="left_tcp", mass=1.5)
+_ATTACH = m.AttachObject(
+    op="attach", name="table", touch_links=("finger_left",), joints=(0.1, 0.2), link="left_tcp", mass=1.5
+)
 _DETACH = m.DetachObject(op="detach", name="table", joints=(0.1, 0.2))
 _LINKS = m.SetLinkCollision(op="links", names=("link_5",), enabled=False)
 _OBJECTS_OFF = m.SetObjectCollision(op="objects", names=("table",), enabled=False)
@@ -96,7 +99,7 @@ _TOUCH = m.Touch(objects=("part", "bin"), begin=0.5, end=1.25)
 _WITH_WAYS = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), approach=_OFFSET, retreat=_OFFSET)
 _SEGMENTS = (
     m.Move(kind="move", goal=_WITH_WAYS, name="pick", touch=("bin",), blend=0.02, group="torso+left"),
-    m.Attach(kind="attach", object="part", touch_links=("finger",), name="grasp", link="left_tcp"),
+    m.Attach(kind="attach", object="part", touch_links=("finger",), name="grasp", link="left_tcp", mass=1.5),
     m.Wait(kind="wait", duration=0.5, name="settle"),
     m.SpeedChange(kind="speed", velocity_scale=0.5, acceleration_scale=0.25, name="slow"),
     m.Grip(kind="grip", width=0.04),
@@ -254,6 +257,7 @@ EXAMPLES: tuple[Message, ...] = (
     _TIMINGS,
     _TOO_NEAR,
     _TOOL_MOTION,
+    _TORQUE,
     m.Plan(
         plan_id="plan-1",
         robot="arm_2",
@@ -265,6 +269,7 @@ EXAMPLES: tuple[Message, ...] = (
         segments=(_PLANNED_SEGMENT,),
         touches=(_TOUCH,),
         openings=(m.GripperOpening(gripper="hand", width=0.04),),
+        torque=_TORQUE,
         problem=_PROBLEM,
         goal_deviation=(0.0, 0.0, 1.5, 0.0, 0.0, -0.01),
         selected_goal_index=1,

@@ -47,6 +47,7 @@ class Grasping(Calls):
         lift: float = _APPROACH,
         touch: Iterable[str] = (),
         group: str | None = None,
+        mass: float | None = None,
     ) -> GripperState:
         """Grasp the object `item` of the scene, attach it to the robot and lift it. Returns the state of the gripper.
 
@@ -54,7 +55,7 @@ class Grasping(Calls):
         reach (the last `approach` m straight along the tool's z, with the gripper open, or `open_to` m), close, attach, and lift (`lift`
         m straight up). The gripper closes until something stops the fingers, or to `width` (m), with at most `force` (N). The
         object, which may touch fingers and palm from then on, and what it rests on may be touched on the way, and objects named in
-        `touch`. Of a robot with several arms name the `group`, and the `gripper` that it carries.
+        `touch`. With its `mass` (kg) plans keep the largest torques of the joints. Of a robot with several arms name the `group`, and the `gripper` that it carries.
 
         Each motion is verified before it starts, and the way there before the fingers move. Raises the error of the step that
         fails, which the message names, and ExecutionFailed if the fingers close on nothing; then the robot stands where that step
@@ -76,7 +77,7 @@ class Grasping(Calls):
             held = self._close(gripper, width, force)
         with self._step("attach", item):
             link = held.touch_links[-1] if group is not None else None
-            self._scene.attach(item, touch_links=held.touch_links, link=link)
+            self._scene.attach(item, touch_links=held.touch_links, link=link, mass=mass)
         with self._step("lift", item):
             self._rise(group, (0.0, 0.0, lift), (*touch, *self._beneath(item)))
         return held

@@ -62,15 +62,22 @@ class Scene:
         return self._edit(op="clear")
 
     def attach(
-        self, name: str, *, touch_links: Iterable[str] = (), joints: Numbers | None = None, link: str | None = None
+        self,
+        name: str,
+        *,
+        touch_links: Iterable[str] = (),
+        joints: Numbers | None = None,
+        link: str | None = None,
+        mass: float | None = None,
     ) -> SceneEdited:
         """Attach an object of the scene to the tip, or to a `link`; it keeps its pose relative to that at `joints`.
 
         `joints` (rad) are by default the measured ones. The object may touch `touch_links`, such as a gripper's
-        fingers. A mesh or voxel object is attached as at most 32 cuboids that contain it.
+        fingers. A mesh or voxel object is attached as at most 32 cuboids that contain it. With its `mass` (kg) plans keep the
+        largest torques of the joints.
         """
         touch, at = tuple(touch_links), joints_of(joints, "joints")
-        return self._edit(op="attach", name=name, touch_links=touch, joints=at, link=link)
+        return self._edit(op="attach", name=name, touch_links=touch, joints=at, link=link, mass=mass)
 
     def detach(self, name: str, *, joints: Numbers | None = None) -> SceneEdited:
         """Detach an object and leave it where it is with the robot at `joints` (rad; default: the measured ones)."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from zarm_contract.messages import Attached, Mesh, Sphere, Vector3, Voxels
 from zarm_contract.robot import RobotDescription
 from zarm_contract.urdf import Joint
-from zarm_geometry.frames import matrix, rotation_to
+from zarm_geometry.frames import matrix, of_rpy, rotation_to
 from zarm_geometry.rows import primitives
 from zarm_geometry.shapes import Shape, link_shape, obstacle_shape
 from zarm_geometry.sphere_cover import MOST_BALLS, sphere_cover
@@ -144,13 +144,7 @@ def _moved(joint: Joint, position: float) -> Array:
 
 
 def _pose(joint: Joint) -> Array:
-    """A joint's origin (4, 4) in its parent: Rz(yaw) Ry(pitch) Rx(roll), the order of the URDF specification."""
-    (cr, cp, cy), (sr, sp, sy) = (tuple(map(f, joint.rpy)) for f in (math.cos, math.sin))
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr, joint.xyz[0]],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr, joint.xyz[1]],
-            [-sp, cp * sr, cp * cr, joint.xyz[2]],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    """A joint's origin (4, 4) in its parent."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = of_rpy(joint.rpy), joint.xyz
+    return pose

@@ -52,6 +52,18 @@ def rotation_to(axis: ArrayLike) -> Array:
     return np.column_stack((x, np.cross(z, x), z))
 
 
+def of_rpy(rpy: Vector3) -> Array:
+    """A rotation matrix (3, 3): Rz(yaw) Ry(pitch) Rx(roll), the order of the URDF specification."""
+    (cr, cp, cy), (sr, sp, sy) = (tuple(map(f, rpy)) for f in (math.cos, math.sin))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
 def matrix(position: Vector3, orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)) -> Array:
     """The pose as a matrix (4, 4)."""
     pose = np.eye(4)

@@ -16,6 +16,7 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Attached
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.body import Body, along, attached_body, bounding_ball, link_body
+from zarm_geometry.dynamics import Dynamics, Weight, stated_limits, weights_of, weights_of_load
 from zarm_geometry.joint_tree import Index, JointTree, Place
 from zarm_geometry.kernels.arrays import RobotArrays
 from zarm_geometry.kernels.broad_phase import Cover
@@ -50,7 +51,7 @@ class RobotModel:
     joint that carries each, -1 for the base. `pairs` (n, 2) are the indices of those that can collide with each other:
     all except pairs that may touch, or belong to the same rigid body. `parts` are the exact shapes, each with the index
     of the link in whose frame it is. `tip_joint` is the joint that carries the tip. The model of a group belongs to that
-    of the `whole` robot, and one with attached objects to that `without` them.
+    of the `whole` robot, and one with attached objects, its `loads`, to that `without` them.
     """
 
     robot: RobotDescription
@@ -72,6 +73,7 @@ class RobotModel:
     tip_joint: int
     whole: Whole | None
     without: RobotModel | None
+    loads: tuple[Attached, ...] = ()
 
     @classmethod
     def of(cls, robot: RobotDescription) -> Self:
@@ -111,7 +113,8 @@ class RobotModel:
             return self
         bodies = [body for body in self._at(openings) if body.name not in ignored_links]
         bodies += [attached_body(item, *self.mount(self.carrier(item))) for item in attached]
-        return self._packed(self.robot, self.tree, (self.tip_joint, self.offset[-1]), bodies, without=self)
+        tip = (self.tip_joint, self.offset[-1])
+        return self._packed(self.robot, self.tree, tip, bodies, without=self, loads=tuple(attached))
 
     def carrier(self, item: Attached) -> str:
         """The link to which an object is attached."""
@@ -179,6 +182,7 @@ class RobotModel:
         bodies: Sequence[Body],
         whole: Whole | None = None,
         without: RobotModel | None = None,
+        loads: tuple[Attached, ...] = (),
     ) -> Self:
         """The model of a robot with these bodies."""
         descriptor = robot.descriptor
@@ -227,6 +231,7 @@ class RobotModel:
             tip_joint=tip[0],
             whole=whole,
             without=without,
+            loads=loads,
         )
 
     def with_self_margin(self, margin: float) -> Self:
@@ -354,6 +359,43 @@ class RobotModel:
         turning = (b * z - c * y, c * x - a * z, a * y - b * x, a, b, c)
         sliding = (a, b, c, 0 * a, 0 * b, 0 * c)
         return np.where(moves, np.where(self.revolute, turning, sliding), 0.0)
+
+    @cached_property
+    def dynamics(self) -> Dynamics | None:
+        """What the robot and its loads weigh, and the largest torques; None if its URDF does not state the inertia of each
+        link. A load without a mass weighs nothing.
+        """
+        weights = self._weights
+        if weights is None:
+            return None
+        if self.whole is not None:
+            joints = self.whole.model.robot.descriptor.joints
+            limit = self.whole.model._torque_limits[[joints.index(name) for name in self.robot.descriptor.joints]]
+            return Dynamics.of(self.tree, weights, limit)
+        return Dynamics.of(self.tree, weights, self._torque_limits)
+
+    @cached_property
+    def _weights(self) -> tuple[Weight, ...] | None:
+        if self.whole is not None:
+            weights, places = self.whole.model._weights, self.whole.places
+            return None if weights is None else tuple(weight.carried(places) for weight in weights)
+        links = weights_of(self.robot) if self.without is None else self.without._weights
+        if links is None:
+            return None
+        loads = (
+            weight
+            for item in self.loads
+            if item.mass is not None
+            for weight in weights_of_load(item, item.mass, self.mount(self.carrier(item)))
+        )
+        return (*links, *loads)
+
+    @cached_property
+    def _torque_limits(self) -> Array:
+        if self.without is not None:
+            return self.without._torque_limits
+        unlimited = Dynamics.of(self.tree, self._weights or (), np.full(self.dof, np.inf))
+        return stated_limits(self.robot, unlimited.holding([self.robot.descriptor.home])[0])
 
     @cached_property
     def _at_joints(self) -> Array:

@@ -170,13 +170,18 @@ def attach(
     ] = None,
     at: At = None,
     link: Annotated[str | None, typer.Option(help="The link that carries it (default: the tip).")] = None,
+    mass: Annotated[
+        float | None,
+        typer.Option(metavar="KG", help="Its mass, which counts in the torques of plans.", show_default=False),
+    ] = None,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
     """Attach an object to the tip: `zarm scene attach box --touch link_5`."""
     where = joints(at, "--joints")
-    _edit(connect, name, as_json, op="attach", name=object_name, touch_links=touch or [], joints=where, link=link)
+    fields = {"name": object_name, "touch_links": touch or [], "joints": where, "link": link, "mass": mass}
+    _edit(connect, name, as_json, op="attach", **fields)
 
 
 @app.command()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from zarm_contract.gripper import Gripper
 from zarm_contract.messages import Attached
 from zarm_contract.robot import RobotDescription
-from zarm_physics_sim.inertia import usable_inertials
+from zarm_geometry.inertia import usable_inertials
 from zarm_physics_sim.robot_body import add_robot
 from zarm_physics_sim.world import World, add_object, body_name, object_name
 
@@ -133,7 +133,7 @@ class Simulation:
                 kind, bodies = mujoco.mjtEq.mjEQ_WELD, mujoco.mjtObj.mjOBJ_BODY
                 spec.add_equality(name=thing, type=kind, objtype=bodies, name1=link, name2=thing)
             return
-        body = add_object(spec.body(link), item.object, None, self._density)
+        body = add_object(spec.body(link), item.object, None, self._density, item.mass)
         for touched in {link, *item.touch_links}:
             spec.add_exclude(bodyname1=touched, bodyname2=body.name)
 

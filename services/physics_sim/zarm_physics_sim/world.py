@@ -68,8 +68,10 @@ def object_name(body: str) -> str:
     return body.removeprefix(_OBJECT)
 
 
-def add_object(parent: Any, item: SceneObject, dynamic: Dynamic | None, density: float = 0.0) -> Any:
-    """Add an object to a body: free to move if `dynamic`, else fixed to it, with a density (kg/m³). Returns its body."""
+def add_object(
+    parent: Any, item: SceneObject, dynamic: Dynamic | None, density: float = 0.0, mass: float | None = None
+) -> Any:
+    """Add an object to a body: free to move if `dynamic`, else fixed to it, with a `mass` (kg) or density (kg/m³). Returns its body."""
     position, orientation = pose_of(item)
     body = parent.add_body(name=body_name(item.name), pos=list(position), quat=orientation)
     geoms = [{"density": density, **shape} for shape in object_geoms(item)]
@@ -77,6 +79,8 @@ def add_object(parent: Any, item: SceneObject, dynamic: Dynamic | None, density:
         body.add_freejoint(name=body_name(item.name))
         slide = [dynamic.friction, 0.005, 0.0001]
         geoms = [{**geom, "mass": dynamic.mass / len(geoms), "friction": slide, "condim": 4} for geom in geoms]
+    elif mass is not None:
+        geoms = [{**geom, "mass": mass / len(geoms)} for geom in geoms]
     for geom in geoms:
         body.add_geom(**geom)
     return body

@@ -208,6 +208,7 @@ class Handlers:
             segments=segments,
             touches=touches,
             openings=openings_message(openings),
+            torque=verified.torque,
             problem=problem,
             clearance=verified.clearance,
             too_near=verified.too_near,

@@ -10,7 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.errors import DeadlineExceeded, InvalidRequest, PlanningFailed
-from zarm_contract.messages import Goal, JointGoal, PoseDeviation, PoseGoal, ToolMotion, TooNear, WaypointsGoal
+from zarm_contract.messages import (
+    Goal,
+    JointGoal,
+    PlanTorque,
+    PoseDeviation,
+    PoseGoal,
+    ToolMotion,
+    TooNear,
+    WaypointsGoal,
+)
 from zarm_planner.cartesian.timing import Progress, columns
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.ends import End, goal_deviation
@@ -19,6 +28,7 @@ from zarm_planner.planners.base import Planner
 from zarm_planner.timing.improvement import GAIN
 from zarm_planner.timing.rounding import rounded
 from zarm_planner.timing.smoothing import least_duration
+from zarm_planner.timing.torque import TooHeavy, stretch_for_torque, torque_use
 from zarm_planner.verification.margins import too_near
 from zarm_planner.verification.tool_path import first_contact, verify_tool_path
 from zarm_planner.verification.verify import VerificationFailed, verify
@@ -38,7 +48,7 @@ class Verified:
     """A trajectory that may be executed; `clearance` in m, `waypoint_times` in s.
 
     `goal_pose` is the index of the goal's pose that it reaches, if any, `deviation` (6,) how far off it, if that is
-    allowed, `too_near` the margins that it does not keep, and `tool` how the tip moves along a curve.
+    allowed, `too_near` the margins that it does not keep, `tool` how the tip moves along a curve, and `torque` what the joints need, if known.
     """
 
     trajectory: TimedTrajectory
@@ -48,6 +58,13 @@ class Verified:
     too_near: tuple[TooNear, ...]
     deviation: PoseDeviation | None
     tool: ToolMotion | None
+    torque: PlanTorque | None
+
+    def begun_at(self, time: float) -> Verified:
+        """What is said of it as part of a motion in which it begins at `time` (s)."""
+        if self.torque is None:
+            return self
+        return replace(self, torque=self.torque.model_copy(update={"time": self.torque.time + time}))
 
     def shifted(self, turns: Array) -> Verified:
         """The same motion after whole turns (dof,) in rad of continuous joints."""
@@ -156,7 +173,10 @@ def _fastest(planner: Planner, context: PlanningContext, problem: PlanningProble
         try:
             if (trajectory := faster_than(best.trajectory.duration)) is None:
                 break
-            best = _verified(context, problem, trajectory)
+            found = _verified(context, problem, trajectory)
+            if found.trajectory.duration >= best.trajectory.duration:  # slowed down, as its torques were too large
+                continue
+            best = found
         except VerificationFailed:
             continue
         except (DeadlineExceeded, InvalidRequest):  # InvalidRequest: a detour exceeds the message size
@@ -167,6 +187,7 @@ def _fastest(planner: Planner, context: PlanningContext, problem: PlanningProble
 def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: TimedTrajectory) -> Verified:
     """The trajectory with its clearance. Raises VerificationFailed and the deadline's error."""
     limits, check = context.limits, context.deadline.check
+    trajectory, torque = _within_torque(context, problem, trajectory)
     progress: Progress | None = None
     if problem.tool_task is not None:
         progress = Progress.of(trajectory, context.model.dof)
@@ -194,7 +215,33 @@ def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: Ti
     if clearance < max(context.world.margin, context.scene.self_margin):
         nearer = too_near(context.scene, trajectory, clearance, check)
     deviation = goal_deviation(context, problem.goal, end.pose, trajectory.position[-1])
-    return Verified(trajectory, clearance, times, end.pose, nearer, deviation, tool)
+    return Verified(trajectory, clearance, times, end.pose, nearer, deviation, tool, torque)
+
+
+def _within_torque(
+    context: PlanningContext, problem: PlanningProblem, trajectory: TimedTrajectory
+) -> tuple[TimedTrajectory, PlanTorque | None]:
+    """The trajectory, slower if a joint would need more than its largest torque, and what it needs then; None if the inertia
+    of the robot is unknown. Raises VerificationFailed.
+    """
+    dynamics = context.scene.exact.model.dynamics
+    if dynamics is None:
+        return trajectory, None
+    names, stretch = context.model.robot.descriptor.joints, 1.0
+    use = torque_use(dynamics, trajectory)
+    if use.share > 1.0:
+        if problem.beginning[1] is not None:
+            raise VerificationFailed(
+                f"{names[use.joint]} would need {use.share:.2f} times its effort at {use.time:.2f} s, and a motion that begins in "
+                "motion is not slowed down"
+            )
+        try:
+            stretch = stretch_for_torque(dynamics, trajectory)
+        except TooHeavy as error:
+            raise VerificationFailed(f"{names[error.joint]} {error}") from error
+        trajectory = trajectory.slower(stretch)
+        use = torque_use(dynamics, trajectory)
+    return trajectory, PlanTorque(joint=names[use.joint], share=use.share, time=use.time, stretch=stretch)
 
 
 def _with_poses_of_their_own(waypoint: PoseGoal | JointGoal, ends: Sequence[End]) -> Array:

@@ -164,7 +164,7 @@ def plan_program(
                     done.groups = group.names if group is not None else ()
                     motions = _Motions(stage, scales, touch, planners, group, done.q)
                     for verified, touched in motions.of(goal, after):
-                        done.parts.append(verified)
+                        done.parts.append(verified.begun_at(done.time))
                         done.add(verified.trajectory, touched)
                 case Wait(duration=duration):
                     done.add(TimedTrajectory.standing(done.q, duration), standing)
@@ -265,7 +265,13 @@ def with_ways(goal: Goal) -> bool:
 
 def _change(segment: Attach | Detach) -> SceneChange:
     if isinstance(segment, Attach):
-        return AttachObject(op="attach", name=segment.object, touch_links=segment.touch_links, link=segment.link)
+        return AttachObject(
+            op="attach",
+            name=segment.object,
+            touch_links=segment.touch_links,
+            link=segment.link,
+            mass=segment.mass,
+        )
     return DetachObject(op="detach", name=segment.object)
 
 
@@ -416,6 +422,9 @@ def _whole(done: _Progress) -> Verified:
         too_near=tuple(near for part in done.parts for near in part.too_near),
         waypoint_times=(),
         tool=last.tool if len(done.motions) == 1 else None,
+        torque=max(
+            (part.torque for part in done.parts if part.torque is not None), key=lambda use: use.share, default=None
+        ),
     )
 
 

@@ -19,6 +19,7 @@ from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import LineGoal, PathConstraint, PoseTolerance
 from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
+from zarm_geometry.dynamics import Dynamics
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.frames import pose_of
 from zarm_geometry.robot_model import RobotModel
@@ -41,6 +42,7 @@ from zarm_planner.search.shortcut import quickest_of, shortcut
 from zarm_planner.timing.lead_in import ways_to_rest
 from zarm_planner.timing.rounding import rounded
 from zarm_planner.timing.smoothing import brake_to_rest, least_duration, smooth_path
+from zarm_planner.timing.torque import torque_use
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_trajectory.limits import Limits
 
@@ -91,6 +93,8 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     trajectory = rounded(trajectory, limits)
     with suppress(VerificationFailed):  # the robot may collide with itself near its home
         verify(trajectory, home, away, limits, exact, lambda: None)
+    unknown = np.full(model.dof, np.inf)
+    torque_use(model.dynamics or Dynamics.of(model.tree, (), unknown), trajectory)
     begin("ways out of tight places")
     context = PlanningContext(PlanningScene("0-000000000000", model, world, exact), limits, deadline)
     clear_pose(context, pose, home)

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from zarm_contract.messages import Attached, Cuboid, DriverGripperCommand
 from zarm_contract.robot import RobotDescription, load_robot
+from zarm_geometry.inertia import usable_inertials
 from zarm_geometry.robot_model import RobotModel
 from zarm_physics_sim.arm import PhysicalArm
 from zarm_physics_sim.drives import PRESETS
 from zarm_physics_sim.hands import PhysicalHands
-from zarm_physics_sim.inertia import usable_inertials
 from zarm_physics_sim.simulation import STEP, Simulation
 from zarm_physics_sim.world import Dynamic, World
 

@@ -154,6 +154,19 @@ class PlannedSegment(Message):
     grip: PlannedGrip | None = None
 
 
+class PlanTorque(ShortMessage):
+    """The torque that a plan needs where it comes nearest to the effort of a joint in the URDF, at `time` (s): `share` of it (0..1).
+
+    The robot, and what it carries, would have needed more in the time that speed, acceleration and jerk allow: the plan takes `stretch`
+    times as long.
+    """
+
+    joint: Name
+    share: NonNegative
+    time: NonNegative
+    stretch: Annotated[float, Field(ge=1)] = 1.0
+
+
 class Plan(Message):
     """A verified trajectory, valid only in the scene of `scene_revision` and for the robot of `robot_hash`.
 
@@ -164,7 +177,7 @@ class Plan(Message):
     It is left out if the motion ends at a joint goal. `goal_deviation` says how a goal's tolerance is used: the components
     `[theta_x, theta_y, theta_z, x, y, z]` (rad, m) by which the tip is off that pose, see `PoseTolerance`. `tool` is given for lines,
     arcs and paths, `segments` for programs, and `touches` where objects may be touched: `clearance` does not count these there. It holds
-    for grippers with these `openings`, within 1 mm. With a `problem` it is the part of a program before the segment that fails, see `ProgramRequest`.
+    for grippers with these `openings`, within 1 mm. `torque` is left out if the URDF does not state the inertia of each link. With a `problem` it is the part of a program before the segment that fails, see `ProgramRequest`.
     """
 
     plan_id: Name
@@ -179,6 +192,7 @@ class Plan(Message):
     segments: tuple[PlannedSegment, ...] = ()
     touches: tuple[Touch, ...] = ()
     openings: Openings = ()
+    torque: PlanTorque | None = None
     problem: Problem | None = None
     clearance: float
     too_near: tuple[TooNear, ...] = ()

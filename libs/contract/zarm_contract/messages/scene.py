@@ -148,13 +148,14 @@ SceneObject = Annotated[Cuboid | Sphere | Capsule | Cylinder | Mesh | Voxels, Fi
 class Attached(Message):
     """An attached object: its pose is relative to the `link`, by default the descriptor's `tip_link`, and it may touch `touch_links`.
 
-    A mesh or voxels are checked by their `parts`, relative to that link, which contain them.
+    A mesh or voxels are checked by their `parts`, relative to that link, which contain them. `mass` (kg), if known, counts in torques.
     """
 
     object: SceneObject
     touch_links: tuple[str, ...] = ()
     parts: tuple[Primitive, ...] = Field(default=(), max_length=MAX_ATTACHED_PARTS)
     link: str | None = None
+    mass: Positive | None = None
 
 
 class ObjectPose(ShortMessage):
@@ -242,7 +243,8 @@ class AttachObject(Message):
     the measured ones).
 
     The object may touch `touch_links`, such as the fingers of a gripper. It is never checked against links that are fixed to
-    that link. A mesh or voxels are carried as at most 32 cuboids that contain them.
+    that link. A mesh or voxels are carried as at most 32 cuboids that contain them. With its `mass` (kg), at the middle of the object, plans keep
+    the largest torques of the joints, see `PlanTorque`.
     """
 
     op: Literal["attach"]
@@ -250,6 +252,7 @@ class AttachObject(Message):
     touch_links: tuple[str, ...] = Field(default=(), max_length=32)
     joints: Joints | None = None
     link: str | None = None
+    mass: Positive | None = None
 
 
 class DetachObject(Message):

@@ -1,0 +1,145 @@
+"""How heavy a robot is, and the torques that its motions need."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from zarm_contract.messages import Attached, Capsule, Cuboid, Cylinder, Mesh, Sphere, Voxels
+from zarm_contract.robot import RobotDescription
+from zarm_contract.urdf import Inertial
+from zarm_geometry.body import along
+from zarm_geometry.frames import matrix, of_rpy
+from zarm_geometry.inertia import usable_inertials
+from zarm_geometry.joint_tree import JointTree, Place
+from zarm_geometry.kernels.dynamics import torques
+
+Array = NDArray[np.float64]
+
+HOLDING = 1.1
+"""An effort below this many times what holds the arm at home is no limit of the joint's torque: it is wrong."""
+
+
+class Weight(NamedTuple):
+    """A body that a joint carries, -1 for the base: its `mass` (kg), its `center` (3,) and its `inertia` (3, 3) about that, in
+    the joint's frame.
+    """
+
+    joint: int
+    mass: float
+    center: Array
+    inertia: Array
+
+    @classmethod
+    def of(cls, inertial: Inertial, place: Place) -> Self:
+        """The inertial of a link at `place`."""
+        joint, pose = place
+        turn = pose[:3, :3] @ of_rpy(inertial.rpy)
+        xx, yy, zz, xy, xz, yz = inertial.inertia
+        inertia = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
+        return cls(joint, inertial.mass, pose[:3, :3] @ inertial.xyz + pose[:3, 3], inertia)
+
+    def carried(self, places: Sequence[Place]) -> Self:
+        """The same on the joints of a group, each of the robot's joints at its place."""
+        if self.joint < 0:
+            return self
+        joint, pose = places[self.joint]
+        turn = pose[:3, :3]
+        return type(self)(joint, self.mass, turn @ self.center + pose[:3, 3], turn @ self.inertia @ turn.T)
+
+
+def weights_of_load(item: Attached, mass: float, place: Place) -> Iterator[Weight]:
+    """An attached object of some `mass` (kg), spread evenly, at `place`, the frame of its link; of a mesh or voxels, its parts."""
+    joint, pose = place
+    parts = item.parts or ((item.object,) if not isinstance(item.object, Mesh | Voxels) else ())
+    volumes = [_solid(part)[0] for part in parts]
+    for part, volume in zip(parts, volumes, strict=True):
+        share = mass * volume / sum(volumes)
+        orientation = (0.0, 0.0, 0.0, 1.0) if isinstance(part, Sphere) else part.orientation
+        frame = pose @ matrix(part.position, orientation)
+        inertia = frame[:3, :3] @ np.diag(share * _solid(part)[1]) @ frame[:3, :3].T
+        yield Weight(joint, share, frame[:3, 3], inertia)
+
+
+def _solid(part: Cuboid | Sphere | Capsule | Cylinder) -> tuple[float, Array]:
+    """The volume (m³) of a solid, and its moments of inertia (3,) by its mass; a capsule counts as the cylinder around it."""
+    if isinstance(part, Cuboid):
+        x, y, z = part.size
+        return x * y * z, np.array([y * y + z * z, x * x + z * z, x * x + y * y]) / 12.0
+    square = part.radius**2
+    if isinstance(part, Sphere):
+        return 4.0 / 3.0 * np.pi * part.radius**3, np.full(3, 0.4 * square)
+    length = part.length + (2.0 * part.radius if isinstance(part, Capsule) else 0.0)
+    across = square / 4.0 + length**2 / 12.0
+    return np.pi * square * length, np.array([across, across, square / 2.0])
+
+
+def weights_of(robot: RobotDescription) -> tuple[Weight, ...] | None:
+    """What the links of a robot weigh, its grippers open; None if one that moves states no inertia that can be used."""
+    descriptor, joints = robot.descriptor, robot.descriptor.joints
+    inertials, grippers = usable_inertials(robot)[0], robot.gripper_positions({})
+    weights = []
+    for link in {*descriptor.collision, *inertials}:
+        passed, pose = along(robot.urdf.chain(descriptor.base_link, link), grippers)
+        if passed and link not in inertials:
+            return None
+        if passed:
+            weights.append(Weight.of(inertials[link], (joints.index(passed[-1][0]), pose)))
+    return tuple(weights)
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """The tree of a robot's joints with what each carries, see `kernels.dynamics.torques`, and the largest torques `limit` (dof,):
+    Nm, N if prismatic, infinite where it is unknown.
+    """
+
+    tree: JointTree
+    mass: Array
+    center: Array
+    inertia: Array
+    limit: Array
+
+    @classmethod
+    def of(cls, tree: JointTree, weights: Iterable[Weight], limit: Array) -> Self:
+        """Join what is carried by the same joint."""
+        dof = len(limit)
+        parts: list[list[Weight]] = [[] for _ in range(dof)]
+        for weight in weights:
+            if weight.joint >= 0:
+                parts[weight.joint].append(weight)
+        mass, center, inertia = np.zeros(dof), np.zeros((dof, 3)), np.zeros((dof, 3, 3))
+        for j, carried in enumerate(parts):
+            mass[j] = sum(weight.mass for weight in carried)
+            if mass[j] > 0.0:
+                center[j] = sum(weight.mass * weight.center for weight in carried) / mass[j]
+            for weight in carried:
+                away = weight.center - center[j]
+                inertia[j] += weight.inertia + weight.mass * (away @ away * np.eye(3) - np.outer(away, away))
+        return cls(tree, mass, center, inertia, limit)
+
+    def torque(self, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
+        """The torques (n, dof) of a motion (n, dof) in rad, rad/s and rad/s²."""
+        q, v, a = (np.ascontiguousarray(each, dtype=float) for each in (position, velocity, acceleration))
+        out = np.empty_like(q)
+        tree = self.tree
+        torques(tree.table, tree.origin, self.mass, self.center, self.inertia, q, v, a, out)
+        return out
+
+    def holding(self, position: ArrayLike) -> Array:
+        """The torques (n, dof) that hold the robot still at `position` (n, dof)."""
+        still = np.zeros_like(np.asarray(position, dtype=float))
+        return self.torque(position, still, still)
+
+
+def stated_limits(robot: RobotDescription, holding: Array) -> Array:
+    """The efforts (dof,) of the URDF; infinite where none is stated, or one that cannot bear `holding` (dof,), what holds
+    the arm at home.
+    """
+    efforts: Mapping[str, float | None] = {joint.name: joint.effort for joint in robot.urdf.joint_of_child.values()}
+    stated = np.array([efforts[name] or 0.0 for name in robot.descriptor.joints])
+    return np.where(stated > HOLDING * np.abs(holding), stated, np.inf)
