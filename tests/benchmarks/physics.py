@@ -5,7 +5,7 @@ preset of drives: planned, verified, driven by the real state machine, all on a 
 
 - `off path`: how far a joint is from the path, whenever that is, the worst of each motion, median and worst (mrad);
 - `at the end`: how far from the goal the arm rests, the worst joint, median and worst (mrad);
-- `overshoot`: how far beyond the goal it has been before (mrad, worst);
+- `overshoot`: how much further beyond the goal a joint has been than the path is (mrad, worst);
 - `late`: how much longer the motion took than planned (s, median);
 - `flange`: acceleration of the tip as felt over 20 ms, worst over planned (ratio, median);
 - `contacts`: motions in which anything touched, though the plan keeps 10 mm; `failed`: goals that did not succeed.
@@ -101,6 +101,9 @@ def measured(strategy: str, preset: str, plans: int, seed: int) -> list[str]:
                     PlanRequest(goal=JointGoal(kind="joints", position=tuple(goal.tolist())), start=start)
                 )
             except ZarmError:
+                counts["refused"] += 1
+                if counts["refused"] > 10 * plans:
+                    break
                 continue
             counts["plans"] += 1
             path = TimedTrajectory.of(plan.trajectory, JOINTS)
@@ -122,8 +125,10 @@ def measured(strategy: str, preset: str, plans: int, seed: int) -> list[str]:
             bench.run(0.5)
             off.append(max(distance_from(path, q) for q in true[::5]))
             rest, way = simulation.position, np.sign(path.position[-1] - path.position[0])
+            planned = path.positions(np.linspace(0.0, path.duration, 500))
             end.append(float(np.abs(rest - path.position[-1]).max()))
-            over.append(float((way * (np.array(true) - path.position[-1])).max()))
+            beyond, meant = ((way * (each - path.position[-1])).max(axis=0) for each in (np.array(true), planned))
+            over.append(float((beyond - meant).max()))
             late.append(took - path.duration)
             felt.append(_acceleration(np.array(tips), bench.period) / _planned(path))
             counts["contacts"] += any(touches)
@@ -168,7 +173,9 @@ def main() -> None:
         for strategy in STRATEGIES:
             if strategy == "joint_pose" and settings.plays == "velocity":
                 continue
-            table.add_row(*measured(strategy, preset, arguments.plans, arguments.seed))
+            row = measured(strategy, preset, arguments.plans, arguments.seed)
+            Console(stderr=True).print(*row)
+            table.add_row(*row)
     Console(width=160).print(table)
 
 

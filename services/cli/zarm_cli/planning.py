@@ -38,7 +38,7 @@ from zarm_cli.goals import (
 from zarm_cli.output import degrees, facts, numbers, out, pose_text, print_json
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Plan, PlanRequest, PoseDeviation, ToolMotion
+from zarm_contract.messages import Plan, PlanRequest, PlanTorque, PoseDeviation, ToolMotion
 from zarm_runtime.session import DEFAULT_ENDPOINT
 
 VelocityScale = Annotated[
@@ -168,11 +168,25 @@ def plan_table(found: Plan) -> Table:
         ("motion", f"{found.trajectory.duration:.2f} s, {found.path_length:.2f} rad"),
         *((("passes", f"its waypoints at {numbers(found.waypoint_times)} s"),) if found.waypoint_times else ()),
         ("clearance", f"{found.clearance * 1e3:.1f} mm at the closest, in scene revision {found.scene_revision}"),
+        *torque_rows(found.torque),
         ("ends at", pose_text(found.tip)),
         *tool_rows(found.tool),
         *((("off the goal", deviation_text(found.goal_deviation)),) if found.goal_deviation else ()),
         ("joints", f"{numbers(found.trajectory.position[-1], 4)} rad = {degrees(found.trajectory.position[-1])} deg"),
     )
+
+
+def torque_rows(torque: PlanTorque | None) -> list[tuple[str, str]]:
+    """What the joints need of their efforts, as rows of a table."""
+    if torque is None:
+        return []
+    slowed = f"; takes {torque.stretch:.2f} times as long for that" if torque.stretch > 1.0 else ""
+    return [
+        (
+            "torque",
+            f"at most {100 * torque.share:.0f} % of the effort of {torque.joint}, at {torque.time:.2f} s{slowed}",
+        )
+    ]
 
 
 def tool_rows(tool: ToolMotion | None) -> list[tuple[str, str]]:

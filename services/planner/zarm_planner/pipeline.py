@@ -28,7 +28,7 @@ from zarm_planner.planners.base import Planner
 from zarm_planner.timing.improvement import GAIN
 from zarm_planner.timing.rounding import rounded
 from zarm_planner.timing.smoothing import least_duration
-from zarm_planner.timing.torque import TooHeavy, stretch_for_torque, torque_use
+from zarm_planner.timing.torque import TooHeavy, within_torque
 from zarm_planner.verification.margins import too_near
 from zarm_planner.verification.tool_path import first_contact, verify_tool_path
 from zarm_planner.verification.verify import VerificationFailed, verify
@@ -227,20 +227,18 @@ def _within_torque(
     dynamics = context.scene.exact.model.dynamics
     if dynamics is None:
         return trajectory, None
-    names, stretch = context.model.robot.descriptor.joints, 1.0
-    use = torque_use(dynamics, trajectory)
-    if use.share > 1.0:
+    names = context.model.robot.descriptor.joints
+    try:
+        stretch, use = within_torque(dynamics, trajectory)
+    except TooHeavy as error:
+        raise VerificationFailed(f"{names[error.joint]} {error}") from error
+    if stretch > 1.0:
         if problem.beginning[1] is not None:
             raise VerificationFailed(
-                f"{names[use.joint]} would need {use.share:.2f} times its effort at {use.time:.2f} s, and a motion that begins in "
-                "motion is not slowed down"
+                f"{names[use.joint]} would need more than its effort at {use.time / stretch:.2f} s, and a motion that begins in motion is "
+                "not slowed down"
             )
-        try:
-            stretch = stretch_for_torque(dynamics, trajectory)
-        except TooHeavy as error:
-            raise VerificationFailed(f"{names[error.joint]} {error}") from error
         trajectory = trajectory.slower(stretch)
-        use = torque_use(dynamics, trajectory)
     return trajectory, PlanTorque(joint=names[use.joint], share=use.share, time=use.time, stretch=stretch)
 
 

@@ -42,7 +42,7 @@ from zarm_planner.search.shortcut import quickest_of, shortcut
 from zarm_planner.timing.lead_in import ways_to_rest
 from zarm_planner.timing.rounding import rounded
 from zarm_planner.timing.smoothing import brake_to_rest, least_duration, smooth_path
-from zarm_planner.timing.torque import torque_use
+from zarm_planner.timing.torque import within_torque
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_trajectory.limits import Limits
 
@@ -94,7 +94,7 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     with suppress(VerificationFailed):  # the robot may collide with itself near its home
         verify(trajectory, home, away, limits, exact, lambda: None)
     unknown = np.full(model.dof, np.inf)
-    torque_use(model.dynamics or Dynamics.of(model.tree, (), unknown), trajectory)
+    within_torque(model.dynamics or Dynamics.of(model.tree, (), unknown), trajectory)
     begin("ways out of tight places")
     context = PlanningContext(PlanningScene("0-000000000000", model, world, exact), limits, deadline)
     clear_pose(context, pose, home)

@@ -16,10 +16,10 @@ _COARSE = 0.025
 """A motion sampled at least this often (s) is looked at in its samples alone ..."""
 _FAR = 0.8
 """... if it stays below this share of its limits there."""
-_FINE = 0.001
+_FINE = 0.004
 """Time (s) between two looks at others."""
-_SHARE = 0.998
-"""Share of the largest torque that a motion takes which has to be slowed down: what is left is for rounding."""
+_SHARE = 0.997
+"""Share of the largest torque that a motion may take: what is left is for rounding, and for what is between two looks."""
 
 
 class TooHeavy(Exception):
@@ -38,43 +38,45 @@ class TorqueUse(NamedTuple):
     time: float
 
 
-def torque_use(dynamics: Dynamics, motion: TimedTrajectory) -> TorqueUse:
-    """How much of the largest torques a motion of the first joints takes."""
-    if motion.steps.max() <= _COARSE:
-        use = _use(dynamics, motion.time, motion.states[:, :, : len(dynamics.limit)])
-        if use.share < _FAR:
-            return use
-    return _use(dynamics, *_sampled(dynamics, motion, _FINE))
-
-
-def stretch_for_torque(dynamics: Dynamics, motion: TimedTrajectory) -> float:
-    """By how much a motion must be slowed down so that no joint needs more than its largest torque. Raises TooHeavy.
+def within_torque(dynamics: Dynamics, motion: TimedTrajectory) -> tuple[float, TorqueUse]:
+    """By how much a motion must be slowed down so that none of the first joints needs more than its largest torque, 1 if
+    it need not be, and what it needs then. Raises TooHeavy.
 
     Slower by s, what speed and acceleration need falls with s²; what holds the robot stays.
     """
-    times, states = _sampled(dynamics, motion, _FINE)
+    limit = dynamics.limit
+    if motion.steps.max() <= _COARSE:
+        use = _largest(motion.time, dynamics.torque(*motion.states[:, :, : len(limit)]), limit)
+        if use.share < _FAR:
+            return 1.0, use
+    times = _closely(motion)
+    states = motion.sample(times)[:, :, : len(limit)]
+    torque = dynamics.torque(*states)
+    use = _largest(times, torque, limit)
+    if use.share <= _SHARE:
+        return 1.0, use
     holding = dynamics.holding(states[0])
-    share = np.abs(holding) / dynamics.limit
-    if share.max() >= _SHARE:
-        sample, joint = np.unravel_index(share.argmax(), share.shape)
+    held = _largest(times, holding, limit)
+    if held.share >= _SHARE:
         raise TooHeavy(
-            int(joint),
-            f"would need {abs(holding[sample, joint]):.0f} Nm to stand still at {times[sample]:.2f} s of the trajectory, and has "
-            f"{dynamics.limit[joint]:.0f}",
+            held.joint,
+            f"would need {held.share * limit[held.joint]:.0f} Nm to stand still at {held.time:.2f} s of the trajectory, and has "
+            f"{limit[held.joint]:.0f}",
         )
-    moving = dynamics.torque(*states) - holding
-    room = _SHARE * dynamics.limit - np.sign(moving) * holding
-    return float(np.sqrt(max(1.0, (np.abs(moving) / room).max())))
+    moving = torque - holding
+    room = _SHARE * limit - np.sign(moving) * holding
+    stretch = float(np.sqrt((np.abs(moving) / room).max()))
+    return stretch, _largest(stretch * times, holding + moving / stretch**2, limit)
 
 
-def _sampled(dynamics: Dynamics, motion: TimedTrajectory, step: float) -> tuple[Array, Array]:
-    """Times (n,), and position, velocity and acceleration (3, n, dof) at them."""
-    count = max(2, int(np.ceil((motion.duration - motion.begin) / step)) + 1)
-    times = np.linspace(motion.begin, motion.duration, count)
-    return times, motion.sample(times)[:, :, : len(dynamics.limit)]
+def _closely(motion: TimedTrajectory) -> Array:
+    """The times of the samples, where the acceleration may have its peaks, and times between them."""
+    parts = int(np.ceil(motion.steps.max() / _FINE))
+    between = motion.time[:-1, None] + motion.steps[:, None] * np.arange(parts) / parts
+    return np.append(between.ravel(), motion.duration)
 
 
-def _use(dynamics: Dynamics, times: Array, states: Array) -> TorqueUse:
-    share = np.abs(dynamics.torque(*states)) / dynamics.limit
+def _largest(times: Array, torque: Array, limit: Array) -> TorqueUse:
+    share = np.abs(torque) / limit
     sample, joint = np.unravel_index(share.argmax(), share.shape)
     return TorqueUse(int(joint), float(share[sample, joint]), float(times[sample]))
