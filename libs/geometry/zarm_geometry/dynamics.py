@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
@@ -19,9 +19,6 @@ from zarm_geometry.joint_tree import JointTree, Place
 from zarm_geometry.kernels.dynamics import torques
 
 Array = NDArray[np.float64]
-
-HOLDING = 1.1
-"""An effort below this many times what holds the arm at home is no limit of the joint's torque: it is wrong."""
 
 
 class Weight(NamedTuple):
@@ -134,12 +131,3 @@ class Dynamics:
         """The torques (n, dof) that hold the robot still at `position` (n, dof)."""
         still = np.zeros_like(np.asarray(position, dtype=float))
         return self.torque(position, still, still)
-
-
-def stated_limits(robot: RobotDescription, holding: Array) -> Array:
-    """The efforts (dof,) of the URDF; infinite where none is stated, or one that cannot bear `holding` (dof,), what holds
-    the arm at home.
-    """
-    efforts: Mapping[str, float | None] = {joint.name: joint.effort for joint in robot.urdf.joint_of_child.values()}
-    stated = np.array([efforts[name] or 0.0 for name in robot.descriptor.joints])
-    return np.where(stated > HOLDING * np.abs(holding), stated, np.inf)

@@ -1,4 +1,4 @@
-"""Which inertias of a URDF a simulation can use."""
+"""Which inertias and efforts of a URDF can be used."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 _OUTSIDE = 0.05
 """How far outside of the box around its link a centre of mass may be (m): a link may have more than its geometry."""
+_STANCES = 200
+"""Random configurations at which an arm has to hold itself."""
 _ROUNDING = 1e-3
 """Share by which the rounded numbers of a URDF may be off."""
 
@@ -73,3 +75,19 @@ def _box(shape: CollisionPrimitive) -> tuple[Array, Array]:
         return np.array(shape.center) - shape.radius, np.array(shape.center) + shape.radius
     ends = np.array([shape.a, shape.b])
     return ends.min(axis=0) - shape.radius, ends.max(axis=0) + shape.radius
+
+
+def stances(robot: RobotDescription) -> Array:
+    """Configurations (n, dof) at which an arm has to hold itself: home, and others all over its range."""
+    low, high = (np.array(each) for each in robot.range_about(robot.descriptor.home))
+    others = np.random.default_rng(0).uniform(low, high, (_STANCES, len(low)))
+    return np.concatenate([[robot.descriptor.home], others])
+
+
+def stated_limits(robot: RobotDescription, holding: Array) -> Array:
+    """The efforts (dof,) of the URDF; infinite where none is stated, or one that cannot bear `holding` (n, dof), what holds
+    the empty arm at its `stances`.
+    """
+    efforts = {joint.name: joint.effort for joint in robot.urdf.joint_of_child.values()}
+    stated = np.array([efforts[name] or 0.0 for name in robot.descriptor.joints])
+    return np.where(stated > np.abs(holding).max(axis=0), stated, np.inf)

@@ -16,7 +16,8 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Attached
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.body import Body, along, attached_body, bounding_ball, link_body
-from zarm_geometry.dynamics import Dynamics, Weight, stated_limits, weights_of, weights_of_load
+from zarm_geometry.dynamics import Dynamics, Weight, weights_of, weights_of_load
+from zarm_geometry.inertia import stances, stated_limits
 from zarm_geometry.joint_tree import Index, JointTree, Place
 from zarm_geometry.kernels.arrays import RobotArrays
 from zarm_geometry.kernels.broad_phase import Cover
@@ -395,7 +396,7 @@ class RobotModel:
         if self.without is not None:
             return self.without._torque_limits
         unlimited = Dynamics.of(self.tree, self._weights or (), np.full(self.dof, np.inf))
-        return stated_limits(self.robot, unlimited.holding([self.robot.descriptor.home])[0])
+        return stated_limits(self.robot, unlimited.holding(stances(self.robot)))
 
     @cached_property
     def _at_joints(self) -> Array:

@@ -61,7 +61,7 @@ def _note(simulation: Simulation, density: float) -> str:
     if simulation.assumed:
         parts.append(f"inertia from geometry with {density:g} kg/m³: {', '.join(simulation.assumed)}")
     if unlimited:
-        parts.append(f"torque unknown: the effort of {', '.join(unlimited)} cannot hold the arm at home")
+        parts.append(f"torque unknown: the effort of {', '.join(unlimited)} cannot hold the arm in all of its range")
     return "; ".join(parts)
 
 

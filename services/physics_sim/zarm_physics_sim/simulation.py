@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from zarm_contract.gripper import Gripper
 from zarm_contract.messages import Attached
 from zarm_contract.robot import RobotDescription
-from zarm_geometry.inertia import usable_inertials
+from zarm_geometry.inertia import stances, stated_limits, usable_inertials
 from zarm_physics_sim.robot_body import add_robot
 from zarm_physics_sim.world import World, add_object, body_name, object_name
 
@@ -27,8 +27,6 @@ _ACCELERATION = 400.0
 """The acceleration (rad/s²) of a motor with its gear alone, by the largest torque: so much inertia has its rotor."""
 _FINGER_ARMATURE = 0.05
 """The same of grippers, as the mass that the opening has (kg)."""
-_HOLDING = 1.1
-"""An effort below this many times what holds the arm at home is no limit of the joint's torque."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ class Simulation:
     """The robot at `position` (J,), in the descriptor's order, in a world. `faults` say what of the URDF is not used as stated, and
     `assumed` are the links whose inertia is that of their geometry.
 
-    `limit` (J,) are the largest torques (Nm, N), infinite where the URDF's effort cannot hold the arm at home; `largest` (J,) are
+    `limit` (J,) are the largest torques (Nm, N), infinite where the URDF's effort cannot hold the arm; `largest` (J,) are
     assumptions there. Links without a stated inertia get `density` (kg/m³). `carried` are objects that are attached to a link; one that is also in the world is
     welded to it.
     """
@@ -109,20 +107,20 @@ class Simulation:
             for name, follows in gripper.joints(robot.urdf).items()
         )
         self._fingers = _Joints.of(self._model, [finger.joint for finger in self.fingers])
-        self._data.qpos[self._joints.positions] = robot.descriptor.home
         self._data.qpos[self._fingers.positions] = [finger.at(finger.gripper.positions[-1]) for finger in self.fingers]
-        mujoco.mj_forward(self._model, self._data)
         self._model.dof_armature[self._fingers.speeds] = [
             _FINGER_ARMATURE * finger.stiffness(robot) for finger in self.fingers
         ]
-        holding = np.abs(self.bias)
-        efforts = {joint.name: joint.effort for joint in robot.urdf.joint_of_child.values()}
-        stated = np.array([efforts[name] or 0.0 for name in robot.descriptor.joints])
-        self.limit: Array = np.where(stated > _HOLDING * holding, stated, np.inf)
-        self.largest: Array = np.where(np.isfinite(self.limit), self.limit, 2.0 * holding + 10.0)
+        holding = np.array([self._held_at(stance) for stance in stances(robot)])
+        self.limit = stated_limits(robot, holding)
+        self.largest: Array = np.where(np.isfinite(self.limit), self.limit, 2.0 * holding.max(axis=0) + 10.0)
         self._model.dof_armature[self._joints.speeds] = self.largest / _ACCELERATION
-        self._data.qpos[self._joints.positions] = position
-        mujoco.mj_forward(self._model, self._data)
+        self.place(position)
+
+    def _held_at(self, position: Array) -> Array:
+        """The torques (J,) that hold the arm at `position` (J,)."""
+        self.place(position)
+        return np.abs(self.bias)
 
     def _carry(self, spec: mujoco.MjSpec, item: Attached) -> None:
         link = item.link or self.robot.descriptor.tip_link

@@ -99,11 +99,16 @@ def test_a_robot_whose_inertia_is_not_stated_has_unknown_torques() -> None:
     assert RobotModel.of(load_robot("doosan_m1013")).dynamics is None
 
 
-def test_an_effort_that_cannot_hold_the_arm_at_home_is_no_limit(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("stated", "wrong"), [("10", (1, 2)), ("30", (1,))], ids=["not even at home", "not where the arm is stretched"]
+)
+def test_an_effort_that_cannot_hold_the_empty_arm_is_no_limit(
+    stated: str, wrong: tuple[int, ...], tmp_path: Path
+) -> None:
     original = load_robot("ur5e")
     for suffix in (".yaml", ".urdf"):
         text = original.path.with_suffix(suffix).read_text(encoding="utf-8")
-        (tmp_path / f"ur5e{suffix}").write_text(text.replace('effort="150"', 'effort="10"'), encoding="utf-8")
+        changed = text.replace('effort="150"', f'effort="{stated}"')
+        (tmp_path / f"ur5e{suffix}").write_text(changed, encoding="utf-8")
     limit = known(RobotModel.of(load_robot(str(tmp_path / "ur5e.yaml")))).limit
-    assert np.isinf(limit[2]), "the elbow bears 20 Nm at home"
-    assert limit[0] == 10.0
+    assert tuple(np.flatnonzero(np.isinf(limit))) == wrong

@@ -261,8 +261,9 @@ class PlanningScenes:
             )
         links = self._engine.robot.descriptor.collision
         touch = {known_as(link, links) for link in (message.link_name, *message.touch_links)}
+        mass = message.weight / len(parts) if message.weight > 0.0 else None
         for part in parts:
-            scene.attach(part.name, touch_links=[link for link in links if link in touch], link=carrier)
+            scene.attach(part.name, touch_links=[link for link in links if link in touch], link=carrier, mass=mass)
 
     def _carrier(self, name: str) -> str | None:
         """The link that an object is attached to; None for one that is fixed to the tip. Raises Refusal for none of the robot's."""
