@@ -8,7 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from geometry_msgs.msg import Point, Pose
-from moveit_msgs.msg import CollisionObject, LinkPadding, ObjectColor, PlanningScene, PlanningSceneComponents
+from moveit_msgs.msg import (
+    AttachedCollisionObject,
+    CollisionObject,
+    LinkPadding,
+    ObjectColor,
+    PlanningScene,
+    PlanningSceneComponents,
+    RobotState,
+)
 from moveit_msgs.srv import (
     ApplyPlanningScene,
     GetPlanningScene,
@@ -100,6 +108,17 @@ def test_an_object_of_several_shapes_is_moved_as_one(arm: Stack, robot: Robot) -
     assert set(robot.scene.objects()) == {"shelf..0", "shelf..1", "shelf..2"}
     assert applied(arm, objects=[item("shelf", at(0.0, 0.0, 0.0), operation=CollisionObject.REMOVE)])
     assert not robot.scene.objects()
+
+
+def test_the_weight_of_what_is_attached_is_its_mass(arm: Stack, robot: Robot) -> None:
+    assert applied(arm, objects=[SHELF])
+    held = AttachedCollisionObject(link_name="link_6", object=CollisionObject(id="shelf"), weight=3.0)
+    assert applied(arm, robot_state=RobotState(is_diff=True, attached_collision_objects=[held]))
+    assert [part.mass for part in robot.scene.attached().values()] == [1.5, 1.5]
+    (carried,) = fetched(arm).robot_state.attached_collision_objects
+    assert (carried.object.id, carried.weight) == ("shelf", 3.0)
+    robot.scene.detach("shelf..0")
+    robot.scene.detach("shelf..1")
 
 
 def test_edits_that_come_quickly_are_applied_in_their_order(arm: Stack, robot: Robot) -> None:

@@ -110,10 +110,9 @@ def test_a_workspace_that_is_a_point(tmp_path: Path) -> None:
 
 @pytest.mark.lengthy
 def test_a_mesh_that_is_not_there(tmp_path: Path) -> None:
-    mesh = (
-        '<link name="forearm_link"><visual><geometry><mesh filename="package://ur/a.stl"/></geometry></visual></link>'
-    )
-    found = changed(tmp_path, urdf=lambda text: text.replace('<link name="forearm_link"/>', mesh))
+    link = '<link name="forearm_link">'
+    mesh = '<visual><geometry><mesh filename="package://ur/a.stl"/></geometry></visual>'
+    found = changed(tmp_path, urdf=lambda text: text.replace(link, link + mesh))
     assert any("ur5e.urdf:" in fault and "there is no mesh package://ur/a.stl" in fault for fault in found)
 
 

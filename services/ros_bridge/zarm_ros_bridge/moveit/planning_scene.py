@@ -119,6 +119,7 @@ class PlanningSceneMessages:
                     carrier[identity],
                 ),
                 touch_links=list(touch[identity]),
+                weight=sum(one.mass or 0.0 for one in scene.attached if id_of(one.object.name) == identity),
             )
             for identity, parts in found.items()
         ]
