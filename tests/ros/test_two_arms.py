@@ -99,7 +99,10 @@ def test_an_object_is_attached_to_the_arm_that_is_named(
 ) -> None:
     arm = moveit(client, pandas, "right")
     x, y, z = robot.tip("right").position
+    topics = ("/collision_object", "/attached_collision_object")
+    eventually(lambda: all(map(client.count_subscribers, topics)), "the bridge listens")
     arm.add_collision_box("part", size=(0.03, 0.03, 0.03), position=(x, y, z), quat_xyzw=(0.0, 0.0, 0.0, 1.0))
+    eventually(lambda: "part" in robot.scene.objects(), "it is in the scene")
     fingers = [f"right_panda_{name}" for name in ("hand", "leftfinger", "rightfinger")]
     arm.attach_collision_object("part", "right_panda_hand", fingers)
     eventually_attached(robot, "right_panda_hand")
