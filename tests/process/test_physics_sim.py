@@ -132,3 +132,9 @@ def test_a_faulty_file_is_refused_with_its_line(
     with ServiceProcess("physics_sim", endpoint, tmp_path, "ur5e", arguments=(option, str(file))) as process:
         assert process.process.wait(60) != 0
         assert words in process.output()
+
+
+def test_a_density_that_is_none_is_refused(endpoint: str, tmp_path: Path) -> None:
+    with ServiceProcess("physics_sim", endpoint, tmp_path, "ur5e", arguments=("--density", "-5")) as process:
+        assert process.process.wait(60) != 0
+        assert "-5 kg/m³ is no density; give a positive one" in process.output()

@@ -368,7 +368,7 @@ class Keys:
     physics_state = Topic(
         "physics/state",
         PhysicsState,
-        "The truth of a simulation with physics, 50 times a second: for tests and eyes, not for what moves the robot.",
+        "The ground truth of a simulation with physics, 50 times a second, for tests and displays.",
         by=("driver",),
         readers=("operator", "viewer"),
         droppable=True,

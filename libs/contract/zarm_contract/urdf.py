@@ -1,7 +1,7 @@
 """The kinematics of a URDF: its links and joints, and the transforms between them.
 
-`read_joint` is the one reader of joints, for descriptors and for the import alike. What else is in the file is accounted for
-in `urdf_elements`. Geometry comes from the robot descriptor.
+`read_joint` and `read_inertial` are the only readers of joints and masses, for descriptors and for the import alike. What else
+is in the file is accounted for in `urdf_elements`. Geometry comes from the robot descriptor.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def load_urdf(path: Path, grippers: Collection[str] = ()) -> Urdf:
     notes: list[str] = []
     for element in document.root.findall("link"):
         try:
-            inertial = _read_inertial(document, element)
+            inertial = read_inertial(document, element)
         except InvalidRequest as error:
             faults.append(error.problem.message)
             continue
@@ -127,20 +127,19 @@ def load_urdf(path: Path, grippers: Collection[str] = ()) -> Urdf:
     return Urdf(links, joints, inertials, (*account.notes, *notes))
 
 
-def _read_inertial(document: UrdfDocument, link: ET.Element) -> Inertial | None:
-    """The <inertial> of a <link>, None without one, or if its mass is 0, as that of a frame is."""
+def read_inertial(document: UrdfDocument, link: ET.Element) -> Inertial | None:
+    """The <inertial> of a <link>, None without one, or if its mass is 0, as that of a frame is. Raises InvalidRequest with file and line."""
     element, owner = link.find("inertial"), f"link {link.get('name')}"
-    mass = None if element is None else element.find("mass")
-    if element is None or mass is None:
+    if element is None:
         return None
-    kilograms = document.numbers(mass, "value", 1, owner, (0.0,))[0]
-    if kilograms < 0.0:
-        raise document.fault(mass, f"{owner} has a mass of {kilograms:g} kg; write a positive one")
-    inertia = element.find("inertia")
-    xx, yy, zz, xy, xz, yz = (
-        0.0 if inertia is None else document.numbers(inertia, key, 1, owner, (0.0,))[0]
-        for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    )
+    mass, inertia = element.find("mass"), element.find("inertia")
+    kilograms = 0.0 if mass is None else document.numbers(mass, "value", 1, owner)[0]
+    if mass is not None and kilograms < 0.0:
+        raise document.fault(
+            mass, f"{owner} has a mass of {kilograms:g} kg; write a positive one, or leave <inertial> out"
+        )
+    keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    xx, yy, zz, xy, xz, yz = (document.numbers(inertia, key, 1, owner, (0.0,))[0] for key in keys)
     xyz, rpy = document.origin(element.find("origin"), owner)
     return Inertial(kilograms, xyz, rpy, (xx, yy, zz, xy, xz, yz)) if kilograms > 0.0 else None
 

@@ -193,21 +193,9 @@ def _link(source: Source, element: ET.Element) -> Link:
     name = source.attribute(element, "name")
     if len(name) > _LONGEST:
         raise source.fault(element, f"the name of a link has {len(name)} characters, more than {_LONGEST}; shorten it")
-    _check_inertial(source, element.find("inertial"), f"link {name}")
+    urdf.read_inertial(source, element)
     found = {tag: tuple(_geometries(source, element, tag, name)) for tag in ("visual", "collision")}
     return Link(name, element, **found)
-
-
-def _check_inertial(source: Source, inertial: ET.Element | None, owner: str) -> None:
-    if inertial is None:
-        return
-    mass, inertia = inertial.find("mass"), inertial.find("inertia")
-    if mass is not None and (kilograms := source.numbers(mass, "value", 1, owner)[0]) < 0.0:
-        raise source.fault(
-            mass, f"{owner} has a mass of {kilograms:g} kg; write a positive one, or leave <inertial> out"
-        )
-    for key in _INERTIA:
-        source.numbers(inertia, key, 1, owner, (0.0,))
 
 
 def _geometries(source: Source, link: ET.Element, tag: str, name: str) -> Iterator[Geometry]:

@@ -130,6 +130,8 @@ def launch(
     keys = keys_of(name if name is not None else loaded.descriptor.name)
     endpoint = resolved_endpoint(connect or listen)
     arguments = ["--robot", str(find_robot(robot)), "--name", keys.robot, "--connect", endpoint, "--state", str(state)]
+    if driver is SimulatedDriver.physics and strategy is None and loaded.descriptor.strategy == "emulator":
+        strategy = _driven_by(loaded)
     choice = [] if strategy is None else ["--strategy", strategy]
     folders = [word for folder in meshes for word in ("--meshes", str(folder))]
     simulated = {}
@@ -164,6 +166,18 @@ def launch(
         _refuse_second(bus, keys, endpoint)
         supervisor = stack.enter_context(Supervisor(programs, environment))
         yield Stack(loaded, Robot(Connection.of(bus, keys, SIGNALS)), supervisor, (*bridge, *SERVICES))
+
+
+def _driven_by(robot: RobotDescription) -> str:
+    """The strategy that moves a robot through its driver: whole trajectories, where the driver plays them. Raises InvalidRequest."""
+    params = robot.descriptor.strategy_params
+    if params is None:
+        raise InvalidRequest(
+            f"{robot.descriptor.name} has no strategy_params in its descriptor, so that nothing would reach the physical driver; "
+            "docs/reference/robot.md explains what to write there",
+            field="--driver",
+        )
+    return "joint_trajectory" if "joint_trajectory" in params.strategies else params.strategies[0]
 
 
 def _next_port(address: str, step: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -22,7 +23,6 @@ Array = NDArray[np.float64]
 _STEPS = round(player.STEP / STEP)
 _EVERY = 2
 """A report is made at every this many steps of the player."""
-_CEILING = np.pi / 180.0
 _FINGER_GAIN = 7500.0
 """Force of a gripper's drive per distance of the opening from the commanded one (N/m), up to the commanded force ..."""
 _FINGER_DAMPING = 30.0
@@ -58,7 +58,7 @@ class PhysicalArm:
         self._report, self._steps = report, 0
         self._lock = threading.Lock()
         start = simulation.position[self._order]
-        self._player = Player(start, plays=settings.plays, ceiling=_CEILING * settings.ceiling, lag=settings.lag)
+        self._player = Player(start, plays=settings.plays, ceiling=math.radians(settings.ceiling), lag=settings.lag)
         self._drives = Drives(settings, simulation.limit[self._order], STEP, np.random.default_rng(seed))
         simulation.set_friction(settings.friction * simulation.largest, settings.viscous * simulation.largest)
         self.grippers = {

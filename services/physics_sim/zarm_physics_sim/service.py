@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Scene
 from zarm_physics_sim.arm import PhysicalArm
 from zarm_physics_sim.drives import drive_settings
@@ -30,6 +31,8 @@ def start(service: Service) -> Iterator[None]:
     """The arm with mass, from its first step to its last."""
     robot, options = service.robot, service.options
     settings = drive_settings(options.drives)
+    if not options.density > 0.0:
+        raise InvalidRequest(f"{options.density:g} kg/m³ is no density; give a positive one", field="--density")
     world = World({}, {}) if options.world is None else read_world(options.world)
     axes = Axes.of(robot.descriptor)
     order = [robot.descriptor.joints.index(name) for name in axes.names]

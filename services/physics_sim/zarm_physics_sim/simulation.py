@@ -233,7 +233,7 @@ class Simulation:
         mujoco.mj_step(self._model, self._data)
 
     def contacts(self) -> Iterator[Contact]:
-        """What contacts: links, objects and the floor."""
+        """Links, objects and the floor that press on each other."""
         force = np.zeros(6)
         for k in range(self._data.ncon):
             contact = self._data.contact[k]

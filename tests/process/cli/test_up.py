@@ -26,6 +26,18 @@ def test_up_says_what_runs_where_and_what_to_try_next(up: Up, empty_scene: None)
     assert done.returncode == 0, done.stderr
 
 
+def test_physics_for_a_robot_that_nothing_would_drive_is_refused_with_the_remedy() -> None:
+    refused = zarm("up", "--robot", "panda", "--driver", "physics", "--listen", free_endpoint())
+    assert refused.returncode == 1
+    assert "panda has no strategy_params in its descriptor" in the_one_line(refused.stderr)
+
+
+def test_settings_of_physics_without_physics_are_refused() -> None:
+    refused = zarm("up", "--driver", "sim", "--drives", "hobby")
+    assert refused.returncode == 2
+    assert "--driver physics" in the_one_line(refused.stderr)
+
+
 def test_a_second_up_for_the_same_robot_is_refused_with_a_sentence(up: Up) -> None:
     with Bus(up.endpoint) as bus:
         before = bus.alive(ALL_ALIVE)

@@ -155,10 +155,9 @@ class PlannedSegment(Message):
 
 
 class PlanTorque(ShortMessage):
-    """The torque that a plan needs where it comes nearest to the effort of a joint in the URDF, at `time` (s): `share` of it (0..1).
+    """Where a plan comes nearest to the effort limit of a joint in the URDF: it needs `share` (0..1) of it at `time` (s).
 
-    The robot, and what it carries, would have needed more in the time that speed, acceleration and jerk allow: the plan takes `stretch`
-    times as long.
+    `stretch` is by how much the plan was slowed down to keep the limits: 1 if that was not needed, 1.2 if it takes 1.2 times as long.
     """
 
     joint: Name
