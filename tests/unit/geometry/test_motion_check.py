@@ -287,3 +287,19 @@ def test_each_joint_changes_the_distance_of_what_is_nearby_as_its_gradient_says(
                 errors.append(float(np.abs(pair.gradient - quotient).max()))
     assert len(errors) > 250
     assert np.quantile(errors, 0.98) < 0.003  # m/rad
+
+
+def test_what_lies_along_a_link_counts_at_the_middle_of_what_they_share() -> None:
+    """A capsule, level above a block that begins under its second half: either end of what they share may come down."""
+    arm = model("small_arm")
+    q = np.array([0.0, np.pi / 2, 0.0, 0.0])
+    pose = arm.fk_link("upper", q)
+    along, origin = pose[:3, 2], pose[:3, 3]
+    first, last, half = 0.2, 0.32, 0.2  # where the block begins, and the core of the capsule ends
+    center = origin + (first + half) * along - np.array([0.0, 0.0, 0.2])
+    block = Cuboid(kind="cuboid", name="block", position=tuple(center.tolist()), size=(2 * half, 2 * half, 0.1))
+    check = MotionCheck(arm)
+    check.set_world(World([block], 0.0))
+    (pair,) = (one for one in check.nearby(q, within=0.5) if (one.link, one.object) == ("upper", "block"))
+    assert abs(along[2]) < 1e-9
+    assert abs(pair.gradient[1]) == pytest.approx((first + last) / 2, abs=1e-3)

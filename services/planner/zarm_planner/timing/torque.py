@@ -61,7 +61,7 @@ def within_torque(dynamics: Dynamics, motion: TimedTrajectory) -> tuple[float, T
         raise TooHeavy(
             held.joint,
             f"would need {held.share * limit[held.joint]:.0f} Nm to stand still at {held.time:.2f} s of the trajectory, and has "
-            f"{limit[held.joint]:.0f}",
+            f"{limit[held.joint]:.0f}: the robot carries too much",
         )
     moving = torque - holding
     room = _SHARE * limit - np.sign(moving) * holding
