@@ -160,6 +160,11 @@ class TimedTrajectory:
         first = min(max(0, int(np.searchsorted(self.time, time, side="right")) - 1), len(self.time) - 2)
         return type(self)(self.time[first:], self.position[first:], self.velocity[first:], self.acceleration[first:])
 
+    def columns(self, which: slice) -> Self:
+        """The motion of some of the joints alone."""
+        rows = self.position[:, which], self.velocity[:, which], self.acceleration[:, which]
+        return type(self)(self.time, *map(np.ascontiguousarray, rows))
+
     def slower(self, factor: float) -> Self:
         """The same motion, taking `factor` times as long."""
         return type(self)(self.time * factor, self.position, self.velocity / factor, self.acceleration / factor**2)

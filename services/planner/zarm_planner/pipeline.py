@@ -20,7 +20,7 @@ from zarm_contract.messages import (
     TooNear,
     WaypointsGoal,
 )
-from zarm_planner.cartesian.timing import Progress, columns
+from zarm_planner.cartesian.timing import Progress
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.ends import End, goal_deviation
 from zarm_planner.goals.problem import PlanningProblem
@@ -28,7 +28,7 @@ from zarm_planner.planners.base import Planner
 from zarm_planner.timing.improvement import GAIN
 from zarm_planner.timing.rounding import rounded
 from zarm_planner.timing.smoothing import least_duration
-from zarm_planner.timing.torque import TooHeavy, within_torque
+from zarm_planner.timing.torque import TooFast, TooHeavy, within_torque
 from zarm_planner.verification.margins import too_near
 from zarm_planner.verification.tool_path import first_contact, verify_tool_path
 from zarm_planner.verification.verify import VerificationFailed, verify
@@ -191,7 +191,7 @@ def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: Ti
     progress: Progress | None = None
     if problem.tool_task is not None:
         progress = Progress.of(trajectory, context.model.dof)
-        trajectory = columns(trajectory, slice(context.model.dof))
+        trajectory = trajectory.columns(slice(context.model.dof))
     trajectory = rounded(trajectory, limits)
     ends = problem.targets[-1] if problem.targets else (End.at(trajectory.end),)
     end = ends[np.abs(problem.goals - trajectory.position[-1]).max(axis=1).argmin()] if len(ends) > 1 else ends[0]
@@ -229,17 +229,13 @@ def _within_torque(
         return trajectory, None
     names = context.model.robot.descriptor.joints
     try:
-        stretch, use = within_torque(dynamics, trajectory)
+        slower, use = within_torque(dynamics, trajectory, context.limits, begun=problem.beginning[1] is not None)
     except TooHeavy as error:
         raise VerificationFailed(f"{names[error.joint]} {error}") from error
-    if stretch > 1.0:
-        if problem.beginning[1] is not None:
-            raise VerificationFailed(
-                f"{names[use.joint]} would need more than its effort at {use.time / stretch:.2f} s, and a motion that begins in motion is "
-                "not slowed down"
-            )
-        trajectory = trajectory.slower(stretch)
-    return trajectory, PlanTorque(joint=names[use.joint], share=use.share, time=use.time, stretch=stretch)
+    except TooFast as error:
+        raise VerificationFailed(f"{names[error.use.joint]} {error}") from error
+    stretch = max(1.0, slower.duration / trajectory.duration)
+    return slower, PlanTorque(joint=names[use.joint], share=use.share, time=use.time, stretch=stretch)
 
 
 def _with_poses_of_their_own(waypoint: PoseGoal | JointGoal, ends: Sequence[End]) -> Array:

@@ -40,6 +40,7 @@ from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import quickest_of, shortcut
 from zarm_planner.timing.lead_in import ways_to_rest
+from zarm_planner.timing.pace import paced
 from zarm_planner.timing.rounding import rounded
 from zarm_planner.timing.smoothing import brake_to_rest, least_duration, smooth_path
 from zarm_planner.timing.torque import within_torque
@@ -94,7 +95,9 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     with suppress(VerificationFailed):  # the robot may collide with itself near its home
         verify(trajectory, home, away, limits, exact, lambda: None)
     unknown = np.full(model.dof, np.inf)
-    within_torque(model.dynamics or Dynamics.of(model.tree, (), unknown), trajectory)
+    dynamics = model.dynamics or Dynamics.of(model.tree, (), unknown)
+    within_torque(dynamics, trajectory, limits)
+    paced(trajectory, trajectory.time, trajectory.states, np.zeros((4, *trajectory.position.shape)), limits)
     begin("ways out of tight places")
     context = PlanningContext(PlanningScene("0-000000000000", model, world, exact), limits, deadline)
     clear_pose(context, pose, home)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import mujoco
@@ -16,6 +17,7 @@ from zarm_contract.messages import (
     AttachObject,
     Cuboid,
     JointGoal,
+    LineGoal,
     Move,
     Plan,
     PlanRequest,
@@ -23,11 +25,18 @@ from zarm_contract.messages import (
     SceneEdit,
 )
 from zarm_contract.robot import load_robot
+from zarm_geometry.dynamics import Dynamics, Weight, weights_of
 from zarm_geometry.inertia import usable_inertials
 from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_physics_sim.robot_body import add_robot
+from zarm_planner.deadline import Deadline
 from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
+from zarm_planner.timing.sampling import TOLERANCE, load
+from zarm_planner.timing.smoothing import smooth_path
+from zarm_planner.timing.torque import TooFast, within_torque
+from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
@@ -107,6 +116,93 @@ def test_what_is_too_heavy_to_hold_is_refused_with_the_joint(tmp_path: Path) -> 
     handlers = with_load(tmp_path, 30.0)
     with pytest.raises(PlanningFailed, match=r"panda_joint\d would need \d+ Nm to stand still at .* and has \d+"):
         to_there(handlers, max_attempts=2)
+
+
+def between(robot: RobotModel, seed: int) -> tuple[TimedTrajectory, Limits]:
+    """A fast motion through three random configurations."""
+    limits = Limits.of(robot.robot)
+    ends = np.random.default_rng(seed).uniform(
+        np.maximum(robot.lower, -2.5), np.minimum(robot.upper, 2.5), (3, robot.dof)
+    )
+    deadline = Deadline(math.inf)
+    return smooth_path(robot, World((), 0.0), ends, limits, 0.01, seed=seed, deadline=deadline), limits
+
+
+def loaded(robot: RobotModel, mass: float) -> Dynamics:
+    """A robot that carries a `mass` (kg) at its last joint."""
+    assert robot.dynamics is not None
+    weights = weights_of(robot.robot)
+    assert weights is not None
+    load = Weight(robot.dof - 1, mass, np.array([0.0, 0.0, 0.1]), 1e-3 * mass * np.eye(3))
+    return Dynamics.of(robot.tree, (*weights, load), robot.dynamics.limit)
+
+
+def as_a_whole(dynamics: Dynamics, motion: TimedTrajectory) -> float:
+    """How much slower the whole of a motion must be to keep the efforts."""
+    states = motion.sample(np.arange(0.0, motion.duration, 0.001))
+    holding = dynamics.holding(states[0])
+    moving = dynamics.torque(*states) - holding
+    return float(np.sqrt(np.abs(moving) / (dynamics.limit - np.sign(moving) * holding)).max())
+
+
+@pytest.mark.parametrize(("name", "mass"), [("panda", 3.0), ("ur5e", 6.0), ("ur10e", 12.5)])
+def test_a_motion_is_slowed_down_where_it_needs_more_and_not_elsewhere(name: str, mass: float) -> None:
+    robot = RobotModel.of(load_robot(name))
+    dynamics, ratios = loaded(robot, mass), []
+    for seed in range(40):
+        motion, limits = between(robot, seed)
+        slower, use = within_torque(dynamics, motion, limits)
+        states = slower.sample(np.arange(0.0, slower.duration, 0.001))
+        assert (np.abs(dynamics.torque(*states)) <= dynamics.limit).all()
+        assert use.share <= 1.0
+        assert load(slower, limits) <= 1.0 + 2 * TOLERANCE
+        np.testing.assert_array_equal(slower.states[:, [0, -1]], motion.states[:, [0, -1]])
+        if slower is not motion:
+            ratios.append((slower.duration / motion.duration, as_a_whole(dynamics, motion)))
+    ours, whole = np.array(ratios).T
+    assert (ours <= 1.005 * whole).all()  # which takes 0.997 of the efforts
+    assert (ours - 1.0).mean() < 0.5 * (whole - 1.0).mean()
+
+
+def test_a_motion_that_is_slowed_down_keeps_its_path() -> None:
+    dynamics = loaded(MODEL, 3.0)
+    motion, limits = next(
+        each for each in (between(MODEL, seed) for seed in range(40)) if as_a_whole(dynamics, each[0]) > 1.1
+    )
+    slower, _ = within_torque(dynamics, motion, limits)
+    path = motion.positions(np.arange(0.0, motion.duration, 0.0005))
+    for position in slower.positions(np.arange(0.0, slower.duration, 0.01)):
+        assert np.abs(path - position).max(axis=1).min() < 2e-3
+
+
+def test_a_motion_that_has_begun_begins_as_it_did_or_is_refused() -> None:
+    dynamics, kept, refused = loaded(MODEL, 3.0), 0, 0
+    for seed in range(60):
+        whole, limits = between(MODEL, seed)
+        motion = whole.since(0.3 * whole.duration)
+        motion = motion.begun_at(-motion.begin)
+        try:
+            slower, _ = within_torque(dynamics, motion, limits, begun=True)
+        except TooFast:
+            refused += 1
+            continue
+        np.testing.assert_allclose(slower.states[:, 0], motion.states[:, 0], rtol=0.0, atol=1e-9)
+        states = slower.sample(np.arange(0.0, slower.duration, 0.001))
+        assert (np.abs(dynamics.torque(*states)) <= dynamics.limit).all()
+        kept += slower is not motion
+    assert kept > 0
+    assert refused > 0
+
+
+def test_a_heavy_load_follows_a_straight_line(tmp_path: Path) -> None:
+    x, y, z = MODEL.fk_tip(HOME)[:3, 3]
+    line = LineGoal(kind="line", position=(x, y + 0.3, z - 0.1), speed=1.5, acceleration=8.0)
+    light, heavy = (
+        with_load(tmp_path / str(mass), mass).plan(PlanRequest(goal=line, optimize_s=0.0)) for mass in (None, 9.0)
+    )
+    assert heavy.tool is not None
+    assert worst(light, 9.0) > 1.0
+    assert worst(heavy, 9.0) <= 1.0
 
 
 def test_a_motion_that_was_slowed_down_is_not_sped_up_again(tmp_path: Path) -> None:

@@ -145,7 +145,7 @@ class Progress:
     @classmethod
     def of(cls, trajectory: TimedTrajectory, dof: int) -> Progress:
         """That of a motion with PROGRESS more columns than joints."""
-        return cls(columns(trajectory, slice(dof, None)))
+        return cls(trajectory.columns(slice(dof, None)))
 
     def parameters(self, times: Array) -> Array:
         """The curve's parameter (n,) at times (n,) in s."""
@@ -172,13 +172,3 @@ class Progress:
         full = (velocity[:, 1] >= _AT_SPEED * curve.speed) | (velocity[:, 2] >= _AT_SPEED * curve.rotational_speed)
         step = np.diff(position[:, 0])
         return float(np.clip(step[full[1:]].sum() / max(step.sum(), 1e-12), 0.0, 1.0))
-
-
-def columns(trajectory: TimedTrajectory, which: slice) -> TimedTrajectory:
-    """The motion of some of the columns alone."""
-    return TimedTrajectory(
-        trajectory.time,
-        np.ascontiguousarray(trajectory.position[:, which]),
-        np.ascontiguousarray(trajectory.velocity[:, which]),
-        np.ascontiguousarray(trajectory.acceleration[:, which]),
-    )
