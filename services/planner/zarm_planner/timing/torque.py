@@ -25,7 +25,7 @@ _VERIFIED = 0.0015
 """and at one that has been slowed down,"""
 _LOOKS = 5000
 """unless there would be more."""
-_SHARE = 0.997
+_SHARE = 0.994
 """Share of the largest torque that a motion may take: what is left is for rounding, and for what is between two looks."""
 _SHARE_BEGUN = 0.95
 """The same where the motion has begun, and cannot be slowed down as a whole in the end."""
