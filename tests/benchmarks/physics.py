@@ -73,7 +73,7 @@ class Arm(PhysicalArm):
 
 def arm() -> tuple[Simulation, list[bool]]:
     """The robot among the posts, and whether anything has touched."""
-    return Simulation(ROBOT, World({post.name: post for post in POSTS}, {}), HOME), []
+    return Simulation(ROBOT, World({post.name: post for post in POSTS}), HOME), []
 
 
 def measured(strategy: str, preset: str, plans: int, seed: int) -> list[str]:

@@ -99,6 +99,23 @@ def test_things_fall_from_a_robot_that_lets_them_go(tmp_path: Path) -> None:
         eventually(lambda: cell.now().bodies[0].position[2] < 0.03, "it has fallen to the floor")
 
 
+def test_another_world_is_loaded_while_it_runs(tmp_path: Path) -> None:
+    """What stands is in the scene too, which the planner avoids; what walks is not."""
+    with cell_of(tmp_path, "ur5e") as cell:
+        assert not cell.robot.simulation.state().bodies
+        cell.robot.simulation.load("shelf")
+        eventually(lambda: cell.now().bodies, "the world is loaded")
+        assert {"board_0", "carton_0"} < {*cell.robot.scene.objects()}
+        cell.robot.execute(cell.robot.plan(zarm.Pose((0.4, -0.2, 0.6), (0.0, 0.7071, 0.0, 0.7071))))
+        touched = {name for state in cell.truth for one in state.contacts for name in (one.first, one.second)}
+        assert not touched & {*load_robot("ur5e").descriptor.collision}
+        cell.robot.simulation.load("person")
+        assert not any("person" in name for name in cell.robot.scene.objects())
+        eventually(lambda: {body.name for body in cell.now().bodies} >= {"person_head"}, "the person walks")
+        with pytest.raises(zarm.InvalidRequest, match="unknown world"):
+            cell.robot.simulation.load("nowhere")
+
+
 def test_the_health_of_the_driver_says_what_it_assumes(tmp_path: Path) -> None:
     with cell_of(tmp_path, "doosan_m1013") as cell:
         note = cell.robot.health("physics_sim", timeout=5.0).note

@@ -484,6 +484,16 @@ EXAMPLES: tuple[Message, ...] = (
     # physics
     m.BodyPose(name="cube", position=(0.5, 0.0, 0.02), orientation=(0.0, 0.0, 0.0, 1.0)),
     m.Contact(first="panda_leftfinger", second="cube", position=(0.5, 0.02, 0.02), force=12.5),
+    m.DynamicObject(name="block", mass=0.2, friction=0.8),
+    m.Conveyor(name="belt", speed=-0.1),
+    m.MovingObjects(names=("visitor",), path=((0.0, 0.0, 0.0), (-1.5, 0.0, 0.0)), speed=0.8, once=True),
+    m.LoadWorld(
+        objects=(_CUBOID,),
+        floor=-0.75,
+        dynamic=(m.DynamicObject(name=_CUBOID.name, mass=0.2),),
+        conveyors=(m.Conveyor(name="belt", speed=0.1),),
+        moving=(m.MovingObjects(names=("visitor",), path=((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)), speed=0.5),),
+    ),
     m.PhysicsState(
         stamp=1700000000.25,
         time=12.5,

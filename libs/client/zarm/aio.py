@@ -25,6 +25,7 @@ import zarm.gripper
 import zarm.replaying
 import zarm.robot
 import zarm.scene
+import zarm.simulation
 from zarm.connection import CONNECT_SECONDS, Connection
 from zarm.executor import OnProgress
 from zarm.interrupts import Interruption, started
@@ -32,7 +33,7 @@ from zarm.record_story import Story
 from zarm_contract.messages import ExecuteRequest, GoalState, Plan, Trajectory
 from zarm_contract.roles import Role
 
-__all__ = ["Gripper", "Robot", "Scene", "connect", "replay", "robots", "story"]
+__all__ = ["Gripper", "Robot", "Scene", "Simulation", "connect", "replay", "robots", "story"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -182,6 +183,16 @@ class Gripper(_Twin[zarm.gripper.Gripper]):
     states = _iterated(zarm.gripper.Gripper.states)
 
 
+class Simulation(_Twin[zarm.simulation.Simulation]):
+    """See `zarm.Simulation`."""
+
+    def __init__(self, connection: Connection) -> None:
+        super().__init__(zarm.simulation.Simulation, connection)
+
+    load = _awaited(zarm.simulation.Simulation.load)
+    state = _awaited(zarm.simulation.Simulation.state)
+
+
 class Robot(_Twin[zarm.robot.Robot]):
     """See `zarm.Robot`."""
 
@@ -189,6 +200,7 @@ class Robot(_Twin[zarm.robot.Robot]):
         super().__init__(zarm.robot.Robot, connection)
         self.scene = Scene(connection)
         self.gripper = Gripper(connection)
+        self.simulation = Simulation(connection)
 
     @property
     def name(self) -> str:

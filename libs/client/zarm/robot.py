@@ -1,4 +1,4 @@
-"""One robot: its planner, executor, servo, scene and grippers, and the short form of each of their methods."""
+"""One robot: its planner, executor, servo, scene, grippers and simulation, and the short form of each of their methods."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from zarm.gripper import Gripper
 from zarm.planner import Planner
 from zarm.scene import Scene
 from zarm.servo import Servo
+from zarm.simulation import Simulation
 from zarm.values import Pose
 from zarm_contract.messages import Health, Nothing
 
@@ -55,7 +56,7 @@ def _servo(robot: Robot) -> Servo:
 class Robot(Calls):
     """One robot on the bus; `zarm.connect` makes it.
 
-    `planner`, `executor`, `servo`, `scene`, `gripper` and `grasping` have the calls of each part; `robot.plan` is short for
+    `planner`, `executor`, `servo`, `scene`, `gripper`, `grasping` and `simulation` have the calls of each part; `robot.plan` is short for
     `robot.planner.plan`, and so on. Joint vectors follow the order of `joints` in the robot's descriptor. Poses are those
     of its tip in its base frame. Every method raises a `zarm.Error`: the problem that the service answers, or Unavailable
     if none answers. Thread-safe; Ctrl-C interrupts only the main thread.
@@ -69,6 +70,7 @@ class Robot(Calls):
         self.gripper = Gripper(connection)
         self.grasping = Grasping(connection)
         self.scene = Scene(connection)
+        self.simulation = Simulation(connection)
 
     plan = _short(_planner, Planner.plan)
     request_plan = _short(_planner, Planner.request_plan)

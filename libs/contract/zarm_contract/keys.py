@@ -35,6 +35,7 @@ from zarm_contract.messages import (
     IkRequest,
     IkSolutions,
     JointState,
+    LoadWorld,
     Message,
     Nothing,
     ObjectPose,
@@ -365,6 +366,14 @@ class Keys:
         by=("operator",),
     )
 
+    physics_world = Query(
+        "physics/world",
+        LoadWorld,
+        Nothing,
+        "Replace the world of a simulation with physics.",
+        to="driver",
+        by=("operator",),
+    )
     physics_state = Topic(
         "physics/state",
         PhysicsState,

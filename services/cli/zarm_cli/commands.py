@@ -42,6 +42,7 @@ MODULES = {
     "resume": "execution",
     "reset": "execution",
     "scene": "scene",
+    "world": "world",
     "robot": "robot",
 }
 """The module of each command. It holds a function of that name, or `app` if the command has subcommands."""

@@ -238,7 +238,10 @@ def up(
         ),
     ] = None,
     world: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="What stands around the physical driver.", show_default=False)
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE", help="The world of the physical driver, see `zarm world list`.", show_default=False
+        ),
     ] = None,
     ros: Annotated[bool, typer.Option("--ros", help="Also start the ROS 2 bridge.")] = False,
     moveit: Annotated[
@@ -310,7 +313,7 @@ def up(
         stack.wait()
 
 
-def _physics(driver: SimulatedDriver | None, drives: str | None, world: Path | None) -> list[str]:
+def _physics(driver: SimulatedDriver | None, drives: str | None, world: str | None) -> list[str]:
     """The arguments of the physical driver. Raises BadParameter if another one is started."""
     given = {"--drives": drives, "--world": world}
     words = [word for option, value in given.items() if value is not None for word in (option, str(value))]

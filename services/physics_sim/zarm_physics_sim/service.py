@@ -6,18 +6,18 @@ import logging
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Scene
+from zarm_contract.world import load_world
 from zarm_physics_sim.arm import PhysicalArm
 from zarm_physics_sim.drives import drive_settings
 from zarm_physics_sim.hands import PhysicalHands
 from zarm_physics_sim.simulation import Simulation
+from zarm_physics_sim.surroundings import Surroundings
 from zarm_physics_sim.truth import Truth
-from zarm_physics_sim.world import World, read_world
+from zarm_physics_sim.world import World
 from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_runtime.service import Service, run_service, service_parser
 from zarm_simulated_driver.axes import Axes
@@ -33,7 +33,7 @@ def start(service: Service) -> Iterator[None]:
     settings = drive_settings(options.drives)
     if not options.density > 0.0:
         raise InvalidRequest(f"{options.density:g} kg/m³ is no density; give a positive one", field="--density")
-    world = World({}, {}) if options.world is None else read_world(options.world)
+    world = World() if options.world is None else World.of(load_world(options.world))
     axes = Axes.of(robot.descriptor)
     order = [robot.descriptor.joints.index(name) for name in axes.names]
     at = np.empty(len(order))
@@ -42,16 +42,12 @@ def start(service: Service) -> Iterator[None]:
     service.note = _note(simulation, options.density)
     log.info("physics %s", service.note)
 
-    def changed(_: str, scene: Scene) -> None:
-        if meshes := [item.name for item in scene.objects if item.kind == "mesh" and item.name not in world.objects]:
-            log.warning("meshes are left out of the physics objects=%s", ",".join(meshes))
-        objects = {item.name: item for item in scene.objects} | dict(world.objects)
-        arm.change_world(World(objects, world.dynamic, world.floor), scene.attached)
-
     with service.open_bus() as bus:
         truth = Truth(bus.publisher(service.keys.physics_state).put)
         arm = PhysicalArm(simulation, settings, order, options.seed, truth.report)
-        bus.watch(service.keys.scene, changed)
+        surroundings = Surroundings(arm, world)
+        bus.watch(service.keys.scene, lambda _, scene: surroundings.see(scene))
+        bus.serve(service.keys.physics_world, surroundings.load)
         with driving(service, bus, axes, arm, PhysicalHands(arm)):
             yield
 
@@ -80,9 +76,8 @@ def main() -> int:
     )
     parser.add_argument(
         "--world",
-        type=Path,
-        metavar="FILE",
-        help="what stands around the robot: a YAML file (default: what the scene says)",
+        metavar="NAME|FILE",
+        help="what stands around the robot: a world that comes with zarm, or a YAML file (default: what the scene says)",
     )
     parser.add_argument(
         "--density",

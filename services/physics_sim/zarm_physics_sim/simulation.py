@@ -15,7 +15,7 @@ from zarm_contract.messages import Attached
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.inertia import stances, stated_limits, usable_inertials
 from zarm_physics_sim.robot_body import add_robot
-from zarm_physics_sim.world import World, add_object, body_name, object_name
+from zarm_physics_sim.world import World, add_object, body_name, is_object, object_name
 
 Array = NDArray[np.float64]
 
@@ -84,6 +84,7 @@ class Simulation:
     ) -> None:
         self.robot, self.world, self._density, self._carried = robot, world, density, tuple(carried)
         self._welds: list[Attached] = []
+        self._loaded = 0.0
         inertials, self.faults = usable_inertials(robot)
         self.assumed = [link for link in robot.descriptor.collision if link not in inertials and _moves(robot, link)]
         spec = mujoco.MjSpec()
@@ -99,6 +100,9 @@ class Simulation:
         self._model = spec.compile()
         self._model.geom_solref[:] = self._model.eq_solref[:] = _STIFF
         self._data = mujoco.MjData(self._model)
+        walking = [name for walk in world.walks for name in walk.names]
+        self._mocap = {name: self._model.body(body_name(name)).mocapid[0] for name in walking}
+        self._places = {name: np.array(world.objects[name].position) for name in walking}
         self._joints = _Joints.of(self._model, robot.descriptor.joints)
         grippers = robot.descriptor.grippers.values()
         self.fingers = tuple(
@@ -148,8 +152,12 @@ class Simulation:
     def go_on_from(self, before: Simulation) -> None:
         """Take over where everything is, and how it moves, from another simulation of the robot."""
         old, new = before._model, self._model
+        same = self.world.dynamic is before.world.dynamic  # another world begins as it is described
+        self._loaded = before._loaded if same else before.time
         for k in range(new.njnt):
             name = new.joint(k).name
+            if not same and is_object(name):
+                continue
             j = mujoco.mj_name2id(old, mujoco.mjtObj.mjOBJ_JOINT, name)
             if j >= 0 and old.jnt_type[j] == new.jnt_type[k]:
                 self._data.joint(name).qpos[:] = before._data.joint(name).qpos
@@ -230,6 +238,10 @@ class Simulation:
         """Let `STEP` seconds pass with these torques (J,) on the joints, and these (F,) on those of the `fingers`."""
         self._data.qfrc_applied[self._joints.speeds] = torque
         self._data.qfrc_applied[self._fingers.speeds] = finger_force
+        for walk in self.world.walks:
+            moved = walk.at(self.time - self._loaded)
+            for name in walk.names:
+                self._data.mocap_pos[self._mocap[name]] = self._places[name] + moved
         mujoco.mj_step(self._model, self._data)
 
     def contacts(self) -> Iterator[Contact]:
@@ -244,11 +256,14 @@ class Simulation:
                 )
 
     def poses(self) -> Mapping[str, tuple[Array, Array]]:
-        """Position (3,) and orientation `[x, y, z, w]` of everything that moves freely."""
+        """Position (3,) and orientation `[x, y, z, w]` of everything in the world that moves."""
         found = {}
         for name in self.world.dynamic:
-            x, y, z, *orientation = self._data.joint(body_name(name)).qpos
-            found[name] = (np.array([x, y, z]), np.array([*orientation[1:], orientation[0]]))
+            x, y, z, w, *turn = self._data.joint(body_name(name)).qpos
+            found[name] = (np.array([x, y, z]), np.array([*turn, w]))
+        for name, k in self._mocap.items():
+            w, *turn = self._data.mocap_quat[k]
+            found[name] = (np.array(self._data.mocap_pos[k]), np.array([*turn, w]))
         return found
 
     def _name(self, geom: int) -> str:

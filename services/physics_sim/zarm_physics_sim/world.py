@@ -1,52 +1,76 @@
-"""What stands around the robot: a file, or what the scene says."""
+"""What stands around the robot, and what of it moves."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import mujoco
-from pydantic import Field
+import numpy as np
+from numpy.typing import NDArray
 
-from zarm_contract.codec import decode
-from zarm_contract.errors import InvalidRequest, ZarmError, from_problem
-from zarm_contract.messages import LoadScene, NonNegative, Positive, SceneObject
-from zarm_contract.section import Section, read_section
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import DynamicObject, LoadWorld, MovingObjects, SceneObject
+from zarm_contract.world import world_faults
 from zarm_physics_sim.shapes import object_geoms, pose_of
+
+Array = NDArray[np.float64]
 
 _OBJECT = "object/"
 
 
-class Dynamic(Section):
-    """An object that moves when it is pushed."""
+@dataclass(frozen=True)
+class Walk:
+    """How `names` move: along a `path` (n, 3) of displacements (m) at a `speed` (m/s), and back, or `once`."""
 
-    mass: Positive
-    """kg, spread evenly."""
-    friction: NonNegative = 1.0
-    """Coefficient of its sliding friction; of two that touch the larger one counts."""
+    names: tuple[str, ...]
+    path: Array
+    speed: float
+    once: bool
 
+    @classmethod
+    def of(cls, moving: MovingObjects) -> Self:
+        """As the message says it."""
+        return cls(moving.names, np.array(moving.path), moving.speed, moving.once)
 
-class WorldFile(Section):
-    """A world: its `objects` are written as those of a scene, so that a saved scene is a world."""
-
-    floor: float | None = None
-    """Height of a floor without end (m), in the frame of `base_link`. Left out: there is none."""
-    objects: list[dict[str, Any]] = Field(default=[], max_length=1000)
-    """The objects, in the frame of `base_link`."""
-    dynamic: dict[str, Dynamic] = Field(default={})
-    """Objects that move, by name; the others are fixed."""
+    def at(self, time: float) -> Array:
+        """The displacement (3,) after `time` s."""
+        way = np.insert(np.cumsum(np.linalg.norm(np.diff(self.path, axis=0), axis=1)), 0, 0.0)
+        gone = self.speed * time
+        if not self.once and way[-1] > 0.0:
+            gone = way[-1] - abs(gone % (2.0 * way[-1]) - way[-1])
+        return np.array([np.interp(gone, way, column) for column in self.path.T])
 
 
 @dataclass(frozen=True)
 class World:
-    """Objects by name, some of which are `dynamic`, and the height of a floor (m)."""
+    """Objects by name, and the height of a `floor` (m). Some are `dynamic`, others `belts` with the speed of their surface (m/s), or
+    go on `walks`; the rest is fixed.
+    """
 
-    objects: Mapping[str, SceneObject]
-    dynamic: Mapping[str, Dynamic]
+    objects: Mapping[str, SceneObject] = field(default_factory=dict)
     floor: float | None = None
+    dynamic: Mapping[str, DynamicObject] = field(default_factory=dict)
+    belts: Mapping[str, float] = field(default_factory=dict)
+    walks: Sequence[Walk] = ()
+
+    @classmethod
+    def of(cls, message: LoadWorld) -> Self:
+        """The world of a message. Raises InvalidRequest."""
+        for key, fault in world_faults(message):
+            raise InvalidRequest(fault, field=".".join(map(str, key)))
+        return cls(
+            {item.name: item for item in message.objects},
+            message.floor,
+            {one.name: one for one in message.dynamic},
+            {one.name: one.speed for one in message.conveyors},
+            tuple(map(Walk.of, message.moving)),
+        )
+
+    def among(self, others: Mapping[str, SceneObject]) -> Self:
+        """This world with fixed objects more, unless it has one with that name."""
+        return replace(self, objects={**others, **self.objects})
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
         """Add all of it to a model."""
@@ -54,13 +78,22 @@ class World:
             spec.worldbody.add_geom(
                 name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], pos=[0.0, 0.0, self.floor]
             )
+        walking = {name for walk in self.walks for name in walk.names}
         for name, item in self.objects.items():
-            add_object(spec.worldbody, item, self.dynamic.get(name))
+            body = add_object(spec.worldbody, item, self.dynamic.get(name))
+            body.mocap = name in walking
+            for geom in body.geoms if name in self.belts else ():
+                geom.surfacevel = [self.belts[name], 0.0, 0.0, 0.0, 0.0, 0.0]
 
 
 def body_name(item: str) -> str:
     """The name of an object's body and joint: a link may have the name of an object."""
     return _OBJECT + item
+
+
+def is_object(body: str) -> bool:
+    """Whether a body or joint is that of an object."""
+    return body.startswith(_OBJECT)
 
 
 def object_name(body: str) -> str:
@@ -69,7 +102,7 @@ def object_name(body: str) -> str:
 
 
 def add_object(
-    parent: Any, item: SceneObject, dynamic: Dynamic | None, density: float = 0.0, mass: float | None = None
+    parent: Any, item: SceneObject, dynamic: DynamicObject | None, density: float = 0.0, mass: float | None = None
 ) -> Any:
     """Add an object to a body: free to move if `dynamic`, else fixed to it, with a `mass` (kg) or density (kg/m³). Returns its body."""
     position, orientation = pose_of(item)
@@ -84,25 +117,3 @@ def add_object(
     for geom in geoms:
         body.add_geom(**geom)
     return body
-
-
-def read_world(path: Path) -> World:
-    """Read a world. Raises InvalidRequest with file and line."""
-    document, world = read_section(path, "a world", WorldFile)
-    try:
-        load = decode(LoadScene, json.dumps({"op": "load", "objects": world.objects}).encode())
-    except ZarmError as error:
-        place = document.place(error.problem.field or "objects")
-        message = f"{place}: {error.problem.message}"
-        raise from_problem(error.problem.model_copy(update={"message": message})) from error
-    objects = {item.name: item for item in load.objects}
-    for name in world.dynamic:
-        if name not in objects:
-            raise InvalidRequest(
-                document.fault(("dynamic", name), f"no object is named {name}; there are {', '.join(objects)}")
-            )
-        if objects[name].kind == "mesh":
-            raise InvalidRequest(
-                document.fault(("dynamic", name), "meshes do not move; describe it by a primitive or voxels")
-            )
-    return World(objects, world.dynamic, world.floor)

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from zarm_contract.messages import Attached, Cuboid, DriverGripperCommand
+from zarm_contract.messages import (
+    Attached,
+    Cuboid,
+    DriverGripperCommand,
+    DynamicObject,
+)
 from zarm_contract.robot import RobotDescription, load_robot
 from zarm_geometry.inertia import usable_inertials
 from zarm_geometry.robot_model import RobotModel
@@ -16,12 +21,12 @@ from zarm_physics_sim.arm import PhysicalArm
 from zarm_physics_sim.drives import PRESETS
 from zarm_physics_sim.hands import PhysicalHands
 from zarm_physics_sim.simulation import STEP, Simulation
-from zarm_physics_sim.world import Dynamic, World
+from zarm_physics_sim.world import World
 
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81
-EMPTY = World({}, {})
+EMPTY = World()
 FINGERS = {"panda_leftfinger": 1.0, "panda_rightfinger": -1.0}
 PANDA, UR5E, M1013 = (load_robot(name) for name in ("panda", "ur5e", "doosan_m1013"))
 
@@ -114,7 +119,9 @@ def changed_m1013(folder: Path, old: str, new: str) -> Path:
 
 
 def test_what_falls_comes_to_rest_on_the_floor_with_its_weight() -> None:
-    world = World({"cube": cube("cube", 0.6, 0.0, 0.3)}, {"cube": Dynamic(mass=0.5)}, floor=0.0)
+    world = World(
+        {"cube": cube("cube", 0.6, 0.0, 0.3)}, dynamic={"cube": DynamicObject(name="cube", mass=0.5)}, floor=0.0
+    )
     simulation = Simulation(UR5E, world, home(UR5E))
     pass_time(arm_in(simulation), 1.5)
     position, _ = simulation.poses()["cube"]
@@ -126,7 +133,7 @@ def test_what_falls_comes_to_rest_on_the_floor_with_its_weight() -> None:
 def test_an_arm_that_meets_a_wall_presses_against_it_and_is_stopped() -> None:
     ahead = RobotModel.of(UR5E).fk_tip(home(UR5E) + [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])[:3, 3]
     wall = cube("wall", *map(float, ahead), 0.2)
-    simulation = Simulation(UR5E, World({"wall": wall}, {}), home(UR5E))
+    simulation = Simulation(UR5E, World({"wall": wall}), home(UR5E))
     arm = arm_in(simulation)
     turn = home(UR5E) + np.outer(np.linspace(0.0, 1.0, 100), [1.5, 0.0, 0.0, 0.0, 0.0, 0.0])
     arm.play(turn, np.empty((0, 6)))
@@ -142,7 +149,7 @@ def test_a_gripper_holds_by_friction_what_is_light_enough(mass: float, held: boo
     tip = RobotModel.of(PANDA).fk_tip(home(PANDA))[:3, 3]
     below = cube("table", float(tip[0]), float(tip[1]), float(tip[2]) - 0.04)
     thing = cube("cube", *map(float, tip))
-    world = World({"table": below, "cube": thing}, {"cube": Dynamic(mass=mass)})
+    world = World({"table": below, "cube": thing}, dynamic={"cube": DynamicObject(name="cube", mass=mass)})
     simulation = Simulation(PANDA, world, home(PANDA))
     arm = arm_in(simulation)
     command = DriverGripperCommand(gripper="hand", sequence=1, position=0.0, speed=0.05, force=70.0)
@@ -151,7 +158,7 @@ def test_a_gripper_holds_by_friction_what_is_light_enough(mass: float, held: boo
     assert simulation.finger_position == pytest.approx(0.024, abs=1e-3), (
         "the cube stops the fingers, whose tips are balls"
     )
-    arm.change_world(World({"cube": thing}, world.dynamic), ())  # the table is taken away
+    arm.change_world(World({"cube": thing}, dynamic=world.dynamic), ())  # the table is taken away
     pass_time(arm, 1.0)
     height = arm.simulation.poses()["cube"][0][2]
     assert (height > tip[2] - 0.02) == held
@@ -160,7 +167,7 @@ def test_a_gripper_holds_by_friction_what_is_light_enough(mass: float, held: boo
 def test_a_thing_that_is_attached_to_an_arm_without_gripper_moves_with_it_until_it_is_detached() -> None:
     tip = RobotModel.of(UR5E).fk_tip(home(UR5E))[:3, 3]
     thing = cube("cube", float(tip[0]), float(tip[1]), float(tip[2]) - 0.1)
-    world = World({"cube": thing}, {"cube": Dynamic(mass=0.5)}, floor=0.0)
+    world = World({"cube": thing}, dynamic={"cube": DynamicObject(name="cube", mass=0.5)}, floor=0.0)
     arm = arm_in(Simulation(UR5E, world, home(UR5E)))
     arm.change_world(world, [Attached(object=thing)])
     turn = home(UR5E) + np.outer(np.linspace(0.0, 1.0, 100), [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -174,12 +181,12 @@ def test_a_thing_that_is_attached_to_an_arm_without_gripper_moves_with_it_until_
 
 
 def test_a_new_world_leaves_everything_as_it_moves() -> None:
-    world = World({"cube": cube("cube", 0.6, 0.0, 0.5)}, {"cube": Dynamic(mass=0.5)})
+    world = World({"cube": cube("cube", 0.6, 0.0, 0.5)}, dynamic={"cube": DynamicObject(name="cube", mass=0.5)})
     arm = arm_in(Simulation(UR5E, world, home(UR5E)))
     arm.play(home(UR5E) + np.outer(np.linspace(0.0, 1.0, 50), np.full(6, 0.3)), np.empty((0, 6)))
     pass_time(arm, 0.3)
     before = arm.simulation
-    other = World({**world.objects, "post": cube("post", 0.0, 0.9, 0.1)}, world.dynamic)
+    other = World({**world.objects, "post": cube("post", 0.0, 0.9, 0.1)}, dynamic=world.dynamic)
     arm.change_world(other, ())
     after = arm.simulation
     assert after is not before

@@ -69,7 +69,15 @@ from zarm_contract.messages.motion import (
     Trajectory,
     Vector3,
 )
-from zarm_contract.messages.physics import BodyPose, Contact, PhysicsState
+from zarm_contract.messages.physics import (
+    BodyPose,
+    Contact,
+    Conveyor,
+    DynamicObject,
+    LoadWorld,
+    MovingObjects,
+    PhysicsState,
+)
 from zarm_contract.messages.planner import (
     POSE_COMPONENTS,
     CancelledPlan,
@@ -180,6 +188,7 @@ __all__ = [
     "CheckResults",
     "ClearScene",
     "Contact",
+    "Conveyor",
     "Cuboid",
     "Cylinder",
     "Detach",
@@ -191,6 +200,7 @@ __all__ = [
     "DriverGripperState",
     "DriverProgress",
     "DriverSpeed",
+    "DynamicObject",
     "ExecuteRequest",
     "ExecutorState",
     "FkPoses",
@@ -221,9 +231,11 @@ __all__ = [
     "Limiting",
     "LineGoal",
     "LoadScene",
+    "LoadWorld",
     "Mesh",
     "Message",
     "Move",
+    "MovingObjects",
     "Name",
     "NonNegative",
     "Nothing",

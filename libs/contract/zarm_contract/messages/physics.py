@@ -1,4 +1,4 @@
-"""What really happens in a simulation with physics."""
+"""The world of a simulation with physics, and what really happens there."""
 
 from __future__ import annotations
 
@@ -6,15 +6,56 @@ from typing import Annotated
 
 from pydantic import Field
 
-from zarm_contract._model import ShortMessage
-from zarm_contract.messages.motion import Joints, Name, NonNegative, Quaternion, Vector3
+from zarm_contract._model import Message, ShortMessage
+from zarm_contract.messages.motion import Joints, Name, NonNegative, Positive, Quaternion, Vector3
+from zarm_contract.messages.scene import SceneObject
 
 MAX_CONTACTS = 200
 MAX_BODIES = 1000
 
 
+class DynamicObject(ShortMessage):
+    """An object that moves when it is pushed, with its `mass` (kg), spread evenly, and the coefficient of its sliding `friction`; of two
+    objects that touch, the larger one counts.
+    """
+
+    name: Name
+    mass: Positive
+    friction: NonNegative = 1.0
+
+
+class Conveyor(ShortMessage):
+    """A fixed object whose surface runs along its own x axis with this `speed` (m/s), and takes along what lies on it."""
+
+    name: Name
+    speed: float
+
+
+class MovingObjects(ShortMessage):
+    """Objects that move together along a `path` of displacements (m, base frame) from where they are described, with this `speed` (m/s),
+    whatever is in their way. They come back and go again, or with `once` stay at the end.
+    """
+
+    names: Annotated[tuple[Name, ...], Field(min_length=1, max_length=MAX_BODIES)]
+    path: Annotated[tuple[Vector3, ...], Field(min_length=2, max_length=1000)]
+    speed: Positive
+    once: bool = False
+
+
+class LoadWorld(Message):
+    """Replace the world of a simulation: `objects` in the base frame, and a floor without end at the height `floor` (m), if given. Objects
+    are fixed unless they are dynamic or moving; meshes have no body. What the scene has besides them stays.
+    """
+
+    objects: tuple[SceneObject, ...] = Field(default=(), max_length=MAX_BODIES)
+    floor: float | None = None
+    dynamic: tuple[DynamicObject, ...] = Field(default=(), max_length=MAX_BODIES)
+    conveyors: tuple[Conveyor, ...] = Field(default=(), max_length=MAX_BODIES)
+    moving: tuple[MovingObjects, ...] = Field(default=(), max_length=MAX_BODIES)
+
+
 class BodyPose(ShortMessage):
-    """Where a thing that moves freely is, in the base frame (m)."""
+    """Where an object that moves is, in the base frame (m)."""
 
     name: Name
     position: Vector3
@@ -34,7 +75,7 @@ class Contact(ShortMessage):
 
 class PhysicsState(ShortMessage):
     """The truth of a simulation after `time` s of simulated time: the joints (rad, rad/s) in the descriptor's order, the torques of the drives
-    (Nm), what moves freely, and what contacts. `real_time_factor` is simulated time per time, over the last second.
+    (Nm), what of the world moves, and what contacts. `real_time_factor` is simulated time per time, over the last second.
     """
 
     stamp: float

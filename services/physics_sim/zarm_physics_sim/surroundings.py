@@ -1,0 +1,42 @@
+"""The surroundings of the robot, as scene and world change."""
+
+from __future__ import annotations
+
+import logging
+import threading
+
+from zarm_contract.messages import LoadWorld, Nothing, Scene
+from zarm_physics_sim.arm import PhysicalArm
+from zarm_physics_sim.world import World
+
+log = logging.getLogger(__name__)
+
+
+class Surroundings:
+    """Puts an arm into what the scene says and a world, which has the last word on objects that are in both."""
+
+    def __init__(self, arm: PhysicalArm, world: World) -> None:
+        self._arm, self._world, self._scene = arm, world, Scene(revision="0-000000000000")
+        self._lock = threading.Lock()
+
+    def see(self, scene: Scene) -> None:
+        """Take over a new scene."""
+        with self._lock:
+            self._scene = scene
+            self._change()
+
+    def load(self, request: LoadWorld) -> Nothing:
+        """Replace the world. Raises InvalidRequest."""
+        world = World.of(request)
+        with self._lock:
+            self._world = world
+            self._change()
+        log.info("world loaded objects=%d", len(world.objects))
+        return Nothing()
+
+    def _change(self) -> None:
+        objects = {item.name: item for item in self._scene.objects}
+        world = self._world.among(objects)
+        if meshes := [item.name for item in world.objects.values() if item.kind == "mesh"]:
+            log.warning("meshes are left out of the physics objects=%s", ",".join(meshes))
+        self._arm.change_world(world, self._scene.attached)

@@ -1,0 +1,123 @@
+"""Worlds: those that come with zarm stand, belts run, walkers walk, and a fault in a file is named with its line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import (
+    Capsule,
+    Conveyor,
+    Cuboid,
+    DynamicObject,
+    LoadWorld,
+    MovingObjects,
+)
+from zarm_contract.robot import load_robot
+from zarm_contract.world import WORLDS, load_world
+from zarm_physics_sim.simulation import STEP, Simulation
+from zarm_physics_sim.world import World
+
+UR5E = load_robot("ur5e")
+HOME = np.array(UR5E.descriptor.home)
+NAMES = sorted(path.stem for path in WORLDS.glob("*.yaml"))
+BELT = Cuboid(kind="cuboid", name="belt", position=(0.6, 0.7, 0.05), size=(2.0, 0.3, 0.1))
+PARCEL = Cuboid(kind="cuboid", name="parcel", position=(0.0, 0.7, 0.125), size=(0.05, 0.05, 0.05))
+VISITOR = Capsule(kind="capsule", name="visitor", position=(2.0, 0.0, 0.8), radius=0.2, length=1.0)
+
+
+def after(simulation: Simulation, seconds: float) -> dict[str, np.ndarray]:
+    """Where things are after so many seconds, the robot held where it is."""
+    for _ in range(round(seconds / STEP)):
+        simulation.step(simulation.bias, np.zeros(len(simulation.fingers)))
+    return {name: position for name, (position, _) in simulation.poses().items()}
+
+
+def test_there_are_five() -> None:
+    assert NAMES == ["bin", "conveyor", "person", "shelf", "two_arms"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_stands_in_a_world_stays_there(name: str) -> None:
+    world = World.of(load_world(name))
+    simulation = Simulation(UR5E, world, HOME)
+    places = after(simulation, 1.0)
+    assert world.dynamic or world.walks
+    for thing in world.dynamic:
+        way = places[thing] - world.objects[thing].position
+        assert np.linalg.norm(way[:2]) < 0.005 or world.belts
+        assert abs(way[2]) < 0.005
+
+
+def test_a_belt_takes_along_what_lies_on_it() -> None:
+    world = LoadWorld(
+        objects=(BELT, PARCEL),
+        dynamic=(DynamicObject(name="parcel", mass=0.2),),
+        conveyors=(Conveyor(name="belt", speed=0.1),),
+    )
+    places = after(Simulation(UR5E, World.of(world), HOME), 2.0)
+    assert places["parcel"] == pytest.approx((0.2, 0.7, 0.125), abs=0.01)
+
+
+@pytest.mark.parametrize(("once", "seconds", "x"), [(False, 1.0, 1.5), (False, 3.0, 1.5), (True, 3.0, 1.0)])
+def test_a_walker_goes_there_and_back_or_stays(once: bool, seconds: float, x: float) -> None:
+    path = ((0.0, 0.0, 0.0), (-1.0, 0.0, 0.0))
+    walk = MovingObjects(names=("visitor",), path=path, speed=0.5, once=once)
+    places = after(Simulation(UR5E, World.of(LoadWorld(objects=(VISITOR,), moving=(walk,))), HOME), seconds)
+    assert places["visitor"] == pytest.approx((x, 0.0, 0.8), abs=0.002)
+
+
+def test_another_world_begins_as_it_is_described_and_the_robot_goes_on() -> None:
+    dynamic = (DynamicObject(name="parcel", mass=0.2),)
+    first = LoadWorld(objects=(BELT, PARCEL), dynamic=dynamic, conveyors=(Conveyor(name="belt", speed=0.1),))
+    before = Simulation(UR5E, World.of(first), HOME)
+    after(before, 1.0)
+    same = before.in_world(before.world.among({"post": VISITOR}), ())
+    same.go_on_from(before)
+    assert same.poses()["parcel"][0][0] == pytest.approx(0.1, abs=0.01)
+    again = before.in_world(World.of(first), ())
+    again.go_on_from(before)
+    assert again.poses()["parcel"][0][0] == 0.0
+    np.testing.assert_allclose(again.position, before.position)
+    assert again.time == before.time
+
+
+OBJECTS = "objects:\n  - {kind: sphere, name: ball, position: [1, 0, 0], radius: 0.1}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (OBJECTS + "dynamic:\n  bal: {mass: 1}\n", "world.yaml:4: dynamic.bal: no object is named bal; there are ball"),
+        (OBJECTS + "dynamic:\n  ball: {mass: 0}\n", "world.yaml:4: dynamic.ball.mass: "),
+        (OBJECTS + "dynamic:\n  ball: {mass: 1}\nconveyors:\n  ball: {speed: 1}\n", "world.yaml:6: conveyors.ball: "),
+        (
+            OBJECTS + "moving:\n  - {objects: [bat], path: [[0, 0, 0], [1, 0, 0]], speed: 1}\n",
+            "world.yaml:4: moving.0",
+        ),
+        (OBJECTS + "moving:\n  - {objects: [ball], path: [[0, 0, 0]], speed: 1}\n", "world.yaml:4: moving.0.path: "),
+        (OBJECTS + "flor: 0\n", "world.yaml:3: flor: "),
+        ("objects:\n  - {kind: sphere, name: ball, position: [1, 0], radius: 0.1}\n", "world.yaml:2: "),
+        (OBJECTS + OBJECTS.split("\n", 1)[1], "two objects have the same name"),
+    ],
+)
+def test_a_fault_in_a_file_is_named_with_its_line(text: str, words: str, tmp_path: Path) -> None:
+    file = tmp_path / "world.yaml"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(InvalidRequest) as caught:
+        load_world(str(file))
+    assert words in str(caught.value)
+
+
+def test_an_unknown_world_is_refused_with_those_there_are() -> None:
+    with pytest.raises(InvalidRequest, match="unknown world 'bn': zarm brings bin, conveyor, person, shelf, two_arms"):
+        load_world("bn")
+
+
+def test_what_does_not_fit_together_on_the_bus_is_named_by_field() -> None:
+    with pytest.raises(InvalidRequest) as caught:
+        World.of(LoadWorld(objects=(BELT,), dynamic=(DynamicObject(name="parcel", mass=1.0),)))
+    assert caught.value.problem.field == "dynamic.0"
