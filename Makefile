@@ -111,11 +111,12 @@ $(VENV)/.ros_packages: $(PINNED) | $(BIN)/python
 	for this machine and Python; all else works without, and where ROS 2 Jazzy is installed colcon builds the messages."; exit 1; }
 	@touch $@
 
-# Compiles the kernels of planner and servo once; later runs load them from the cache.
+# Compiles the kernels of planner, servo and perception once; later runs load them from the cache.
 $(VENV)/.kernels: $(VENV)/.planner $(wildcard libs/*/*/kernels/*.py services/*/*/kernels/*.py)
 	@echo "compiling the kernels, once ..."
 	@$(BIN)/python -m zarm_planner.warm_up
 	@$(BIN)/python -m zarm_servo.warm_up
+	@$(BIN)/python -m zarm_perception.warm_up
 	@touch $@
 
 $(BIN)/python:

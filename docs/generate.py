@@ -35,6 +35,7 @@ from zarm_contract.messages import (
     goals,
     gripper,
     motion,
+    perception,
     physics,
     planner,
     program,
@@ -82,6 +83,7 @@ def keys() -> Iterator[str]:
         "Executor": ("executor",),
         "Robot and preview": ("joint_states", "preview"),
         "Servo": ("servo",),
+        "Perception": ("perception",),
         "Driver": ("driver", "leeloo_sim", "physics"),
         "Every service": ("<service>",),
     }
@@ -122,6 +124,7 @@ def messages() -> Iterator[str]:
         "The scene": scene,
         "Execution": executor,
         "Grippers": gripper,
+        "Perception": perception,
         "Physics": physics,
         "The servo": servo,
         "Drivers": driver,
@@ -169,6 +172,7 @@ _SECTIONS = {
     "ExecutionSettings": "execution",
     "StrategyParams": "strategy_params",
     "Gripper": "gripper",
+    "DescribedCamera": "camera",
     "JointGroup": "group",
     "CollisionSphere": "collision sphere",
     "CollisionCapsule": "collision capsule",
@@ -362,6 +366,7 @@ def robot() -> Iterator[str]:
         CollisionCuboid,
         Gripper,
         JointGroup,
+        DescribedCamera,
     )
     for model in (RobotDescriptor, *parts):
         if model is not RobotDescriptor:

@@ -35,6 +35,21 @@ _PROBLEM = Problem(
 )
 _TIMINGS = m.PlanTimings(ik=0.001, search=0.002, shortcut=0.004, timing=0.008, verify=0.016, optimize=0.02, total=0.052)
 _TORQUE = m.PlanTorque(joint="joint_2", share=0.9, time=0.25, stretch=1.1)
+_CAMERA = m.Camera(
+    name="wrist",
+    link="link_6",
+    position=(0.05, 0.0, 0.1),
+    orientation=(0.0, 0.6, 0.0, 0.8),
+    width=640,
+    height=480,
+    fx=610.0,
+    fy=611.0,
+    cx=319.5,
+    cy=239.5,
+    near=0.2,
+    far=3.0,
+    rate=15.0,
+)
 _TOOL_MOTION = m.ToolMotion(length=0.4, speed=0.1, rotational_speed=0.7, speed_share=0.875)
 _TOO_NEAR = m.TooNear(pair=("link_3", "table"), distance=0.002, margin=0.03, time=0.75)
 _CUBOID = m.Cuboid(
@@ -484,6 +499,24 @@ EXAMPLES: tuple[Message, ...] = (
     # physics
     m.BodyPose(name="cube", position=(0.5, 0.0, 0.02), orientation=(0.0, 0.0, 0.0, 1.0)),
     m.Contact(first="panda_leftfinger", second="cube", position=(0.5, 0.02, 0.02), force=12.5),
+    _CAMERA,
+    m.Cameras(cameras=(_CAMERA,)),
+    m.CameraChange(add=_CAMERA),
+    m.CameraChange(remove="wrist"),
+    m.ImageHeader(stamp=1.75e9, width=640, height=480, encoding="16UC1"),
+    m.VoxelBlock(position=(-0.99, -0.99, -0.24), resolution=0.02, cells="gA" + "A" * 681 + "="),
+    m.CameraState(name="wrist", images=12, age=0.05, took=0.008, valid=0.75, robot=0.125, problem="no images"),
+    m.PerceptionState(
+        cameras=(m.CameraState(name="wrist"),),
+        lower=(-1.0, -1.0, -0.25),
+        upper=(1.0, 1.0, 1.25),
+        resolution=0.02,
+        padding=0.03,
+        unseen="occupied",
+        occupied=4921,
+        stale=True,
+        stamp=1.75e9,
+    ),
     m.DynamicObject(name="block", mass=0.2, friction=0.8),
     m.Conveyor(name="belt", speed=-0.1),
     m.MovingObjects(names=("visitor",), path=((0.0, 0.0, 0.0), (-1.5, 0.0, 0.0)), speed=0.8, once=True),

@@ -22,6 +22,7 @@ from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
 
 import zarm.connection
 import zarm.gripper
+import zarm.perception
 import zarm.replaying
 import zarm.robot
 import zarm.scene
@@ -33,7 +34,7 @@ from zarm.record_story import Story
 from zarm_contract.messages import ExecuteRequest, GoalState, Plan, Trajectory
 from zarm_contract.roles import Role
 
-__all__ = ["Gripper", "Robot", "Scene", "Simulation", "connect", "replay", "robots", "story"]
+__all__ = ["Gripper", "Perception", "Robot", "Scene", "Simulation", "connect", "replay", "robots", "story"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -183,6 +184,20 @@ class Gripper(_Twin[zarm.gripper.Gripper]):
     states = _iterated(zarm.gripper.Gripper.states)
 
 
+class Perception(_Twin[zarm.perception.Perception]):
+    """See `zarm.Perception`."""
+
+    def __init__(self, connection: Connection) -> None:
+        super().__init__(zarm.perception.Perception, connection)
+
+    cameras = _awaited(zarm.perception.Perception.cameras)
+    add = _awaited(zarm.perception.Perception.add)
+    remove = _awaited(zarm.perception.Perception.remove)
+    publish = _awaited(zarm.perception.Perception.publish)
+    clear = _awaited(zarm.perception.Perception.clear)
+    state = _awaited(zarm.perception.Perception.state)
+
+
 class Simulation(_Twin[zarm.simulation.Simulation]):
     """See `zarm.Simulation`."""
 
@@ -200,6 +215,7 @@ class Robot(_Twin[zarm.robot.Robot]):
         super().__init__(zarm.robot.Robot, connection)
         self.scene = Scene(connection)
         self.gripper = Gripper(connection)
+        self.perception = Perception(connection)
         self.simulation = Simulation(connection)
 
     @property

@@ -12,6 +12,7 @@ from zarm.connection import ANSWER_SECONDS, Connection
 from zarm.executor import Executor
 from zarm.grasping import Grasping
 from zarm.gripper import Gripper
+from zarm.perception import Perception
 from zarm.planner import Planner
 from zarm.scene import Scene
 from zarm.servo import Servo
@@ -56,7 +57,7 @@ def _servo(robot: Robot) -> Servo:
 class Robot(Calls):
     """One robot on the bus; `zarm.connect` makes it.
 
-    `planner`, `executor`, `servo`, `scene`, `gripper`, `grasping` and `simulation` have the calls of each part; `robot.plan` is short for
+    `planner`, `executor`, `servo`, `scene`, `gripper`, `grasping`, `perception` and `simulation` have the calls of each part; `robot.plan` is short for
     `robot.planner.plan`, and so on. Joint vectors follow the order of `joints` in the robot's descriptor. Poses are those
     of its tip in its base frame. Every method raises a `zarm.Error`: the problem that the service answers, or Unavailable
     if none answers. Thread-safe; Ctrl-C interrupts only the main thread.
@@ -70,6 +71,7 @@ class Robot(Calls):
         self.gripper = Gripper(connection)
         self.grasping = Grasping(connection)
         self.scene = Scene(connection)
+        self.perception = Perception(connection)
         self.simulation = Simulation(connection)
 
     plan = _short(_planner, Planner.plan)

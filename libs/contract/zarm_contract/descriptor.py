@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from zarm_contract._faults import one_line
+from zarm_contract.camera import DescribedCamera
 from zarm_contract.collision import CollisionPrimitive, CollisionSphere
 from zarm_contract.gripper import Gripper
 from zarm_contract.group import JointGroup
@@ -187,6 +188,10 @@ class RobotDescriptor(Section):
     """Distance that a plan keeps between links (m), unless its request says another."""
     grippers: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")], Gripper] = Field(default={}, max_length=8)
     """The robot's grippers by name."""
+    cameras: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")], DescribedCamera] = Field(
+        default={}, max_length=16
+    )
+    """Depth cameras by name, from which the voxel map is made."""
     groups: dict[GroupName, JointGroup] = Field(default={}, max_length=16)
     """Joint groups by name, for a robot with several arms, or an arm on a torso or an axis: what a request may plan for. A request that names no
     group is for all joints. Left out: the robot is one arm."""

@@ -129,6 +129,15 @@ class Topic(Published[M]):
         return self
 
 
+class ImageTopic(Topic[M]):
+    """Images: a message, the end of the line, and the pixels."""
+
+    @property
+    def messages(self) -> str:
+        """The name of the header."""
+        return f"{self.model.__name__} and pixels"
+
+
 class Latched(Published[M]):
     """A value of the role `of`, published on every change, and answered to everyone."""
 

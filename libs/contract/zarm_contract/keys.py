@@ -7,10 +7,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import get_args
 
-from zarm_contract.key import Family, Key, Latched, OfService, Query, Setting, Token, Topic
+from zarm_contract.key import Family, ImageTopic, Key, Latched, OfService, Query, Setting, Token, Topic
 from zarm_contract.messages import (
     Accepted,
     Authority,
+    CameraChange,
+    Cameras,
     CancelledPlan,
     CancelPlan,
     CancelRequest,
@@ -34,6 +36,7 @@ from zarm_contract.messages import (
     Health,
     IkRequest,
     IkSolutions,
+    ImageHeader,
     JointState,
     LoadWorld,
     Message,
@@ -41,6 +44,7 @@ from zarm_contract.messages import (
     ObjectPose,
     Occupancy,
     OccupancyRequest,
+    PerceptionState,
     PhysicsState,
     Plan,
     Planners,
@@ -63,6 +67,7 @@ from zarm_contract.messages import (
     StrategyRequest,
     StreamChunk,
     Trajectory,
+    VoxelBlock,
 )
 from zarm_contract.roles import DRIVES, EVERYONE, SERVICE_ROLES
 
@@ -381,6 +386,43 @@ class Keys:
         by=("driver",),
         readers=("operator", "viewer"),
         droppable=True,
+    )
+
+    # perception
+    cameras = Setting(
+        "perception/cameras",
+        CameraChange,
+        Cameras,
+        "The cameras that make the voxel map; a request adds, replaces or removes one.",
+        of="perception",
+        by=DRIVES,
+    )
+    depth = Family(
+        ImageTopic(
+            "perception/depth/<camera>",
+            ImageHeader,
+            "Depth images of a camera: the header as a line of JSON, then the pixels.",
+            by=("perception", "driver", "bridge", "operator"),
+            droppable=True,
+        )
+    )
+    voxels = Family(
+        Latched(
+            "perception/map/<block>",
+            VoxelBlock,
+            "The voxel map in blocks, of which those are published that have changed.",
+            of="perception",
+        )
+    )
+    perception_state = Latched(
+        "perception/state",
+        PerceptionState,
+        "What the cameras see, and whether they do; twice a second.",
+        of="perception",
+        recorded="changes",
+    )
+    perception_clear = Query(
+        "perception/clear", Nothing, Nothing, "Forget what the cameras have seen.", to="perception", by=DRIVES
     )
 
     # robot and ghost

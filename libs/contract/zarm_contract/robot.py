@@ -182,6 +182,7 @@ def _against_urdf(robot: RobotDescriptor, urdf: Urdf) -> list[tuple[KeyPath, str
     named: dict[KeyPath, str] = {("base_link",): robot.base_link, ("tip_link",): robot.tip_link}
     named |= {("spheres", link): link for link in robot.spheres}
     named |= {("collision", link): link for link in robot.collision}
+    named |= {("cameras", name, "link"): camera.link for name, camera in robot.cameras.items() if camera.link}
     named |= {
         (key, index, side): link
         for key in ("self_collision_ignore", "self_collision_exact")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal, get_args
 
-Role = Literal["router", "planner", "executor", "servo", "bridge", "driver", "operator", "viewer"]
+Role = Literal["router", "planner", "executor", "servo", "perception", "bridge", "driver", "operator", "viewer"]
 """What a process is on the bus; the common name of its certificate."""
 
 ROLES: tuple[Role, ...] = get_args(Role)
@@ -13,6 +13,7 @@ SERVICE_ROLES: Mapping[str, Role] = {
     "planner": "planner",
     "executor": "executor",
     "servo": "servo",
+    "perception": "perception",
     "ros_bridge": "bridge",
     "leeloo_sim": "driver",
     "physics_sim": "driver",

@@ -59,7 +59,10 @@ class Publisher(Generic[M]):
 
     def put(self, message: M) -> None:
         """Publish. Raises Unavailable after the bus is closed."""
-        payload = encode(message)
+        self.put_encoded(encode(message))
+
+    def put_encoded(self, payload: bytes) -> None:
+        """Publish what is in wire format already. Raises Unavailable after the bus is closed."""
         try:
             self._entity.put(payload)
         except zenoh.ZError as error:

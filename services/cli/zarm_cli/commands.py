@@ -43,6 +43,7 @@ MODULES = {
     "reset": "execution",
     "scene": "scene",
     "world": "world",
+    "sensor": "sensor",
     "robot": "robot",
 }
 """The module of each command. It holds a function of that name, or `app` if the command has subcommands."""

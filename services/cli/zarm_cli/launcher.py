@@ -33,7 +33,7 @@ from zarm_runtime.session import DEFAULT_ENDPOINT, open_router, resolved_endpoin
 
 SERVICES = ("planner", "servo", "executor")
 """The services that every robot needs, in start order; they stop in reverse, so that the robot comes to rest first."""
-METERED = ("planner", "executor", "ros_bridge", "leeloo_sim", "servo", "physics_sim")
+METERED = ("planner", "executor", "ros_bridge", "leeloo_sim", "servo", "physics_sim", "perception")
 """Services whose metrics are served: the first at the address given to `up`, the others at the following ports."""
 _PLANNER_PACKAGES = ("fcl", "llvmlite", "numba", "toppra", "trimesh")
 _ROS_PACKAGES = ("rclpy", "curobo_msgs")
@@ -97,6 +97,7 @@ def launch(
     strategy: str | None = None,
     driver: SimulatedDriver | None = None,
     physics: Sequence[str] = (),
+    perception: bool = False,
     ros: bool = False,
     moveit: str | None = None,
     connect: str | None = None,
@@ -142,6 +143,7 @@ def launch(
     programs = {
         **simulated,  # this and the bridge before the executor, which may wait for a driver and at the end brakes by it
         **bridge,
+        **({"perception": ("zarm_perception.service", [*arguments])} if perception else {}),
         "planner": ("zarm_planner.service", [*arguments, *folders]),
         "servo": ("zarm_servo.service", [*arguments, *folders]),
         "executor": ("zarm_executor.service", [*arguments, *choice]),
@@ -243,6 +245,9 @@ def up(
             metavar="NAME|FILE", help="The world of the physical driver, see `zarm world list`.", show_default=False
         ),
     ] = None,
+    perception: Annotated[
+        bool, typer.Option("--perception", help="Also make a voxel map from depth cameras, which motions avoid.")
+    ] = False,
     ros: Annotated[bool, typer.Option("--ros", help="Also start the ROS 2 bridge.")] = False,
     moveit: Annotated[
         bool, typer.Option("--moveit", help="Also start the ROS 2 bridge, with the interface of MoveIt's move_group.")
@@ -298,6 +303,7 @@ def up(
             strategy=strategy,
             driver=driver,
             physics=_physics(driver, drives, world),
+            perception=perception,
             ros=ros,
             moveit=group if moveit else None,
             connect=connect,

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,6 +154,11 @@ class PhysicalArm:
             force = stiff * (_FINGER_GAIN * (finger.at(drive.reference) - position) - _FINGER_DAMPING * velocity)
             forces[k] = min(max(force, -drive.force * share), drive.force * share)
         return forces
+
+    def picture(self) -> tuple[Simulation, Any, float]:
+        """The present simulation, a copy of its state, and the time (Unix, s)."""
+        with self._lock:
+            return self._simulation, self._simulation.snapshot(), time.time()
 
     def change_world(self, world: World, carried: Sequence[Attached]) -> None:
         """Go on in another world."""

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.gripper import Gripper
-from zarm_contract.messages import Attached
+from zarm_contract.messages import Attached, Quaternion, Vector3
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.inertia import stances, stated_limits, usable_inertials
 from zarm_physics_sim.robot_body import add_robot
+from zarm_physics_sim.shapes import wxyz
 from zarm_physics_sim.world import World, add_object, body_name, is_object, object_name
 
 Array = NDArray[np.float64]
@@ -243,6 +244,29 @@ class Simulation:
             for name in walk.names:
                 self._data.mocap_pos[self._mocap[name]] = self._places[name] + moved
         mujoco.mj_step(self._model, self._data)
+
+    def snapshot(self) -> Any:
+        """A copy of the state, for `frame` and `renderer`."""
+        data = mujoco.MjData(self._model)
+        data.qpos[:], data.mocap_pos[:] = self._data.qpos, self._data.mocap_pos
+        mujoco.mj_kinematics(self._model, data)
+        return data
+
+    def renderer(self, width: int, height: int, near: float, far: float) -> Any:
+        """A renderer of images (height, width), to be used in one thread; what is nearer or farther (m) is not seen."""
+        self._model.vis.map.znear, self._model.vis.map.zfar = (each / self._model.stat.extent for each in (near, far))
+        self._model.vis.global_.offwidth, self._model.vis.global_.offheight = max(width, 640), max(height, 480)
+        return mujoco.Renderer(self._model, height, width)
+
+    def frame(self, data: Any, link: str | None, position: Vector3, orientation: Quaternion) -> tuple[Array, Array]:
+        """Where a frame on a link, by default the base, is in the state `data`: its origin (3,) and its axes (3, 3)."""
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, np.array(wxyz(orientation)))
+        if link is None or link == self.robot.descriptor.base_link:
+            return np.array(position), turn.reshape(3, 3)
+        body = data.body(link)
+        carried = body.xmat.reshape(3, 3)
+        return np.asarray(body.xpos + carried @ position), np.asarray(carried @ turn.reshape(3, 3))
 
     def contacts(self) -> Iterator[Contact]:
         """Links, objects and the floor that press on each other."""

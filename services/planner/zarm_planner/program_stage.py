@@ -79,19 +79,19 @@ class ProgramStage:
             self._scene = attach(self._scene, change, tip, self._store.meshes)
         else:
             self._scene = detach(self._scene, change, tip)
-        self._changed = self._scenes.ready(self._scene, self._scenes.moved.objects(self._scene), self._openings)
+        self._changed = self._scenes.ready(self._scene, self._scenes.objects(self._scene), self._openings)
 
     def grip(self, grip: Grip) -> PlannedGrip:
         """See `programs.Stage`."""
         name = self._grippers.named(grip.gripper, "gripper")
         self._grippers.check(name, grip.width, "width")
         self._openings = tuple((one, grip.width if one == name else width) for one, width in self._openings)
-        self._changed = self._scenes.ready(self._scene, self._scenes.moved.objects(self._scene), self._openings)
+        self._changed = self._scenes.ready(self._scene, self._scenes.objects(self._scene), self._openings)
         return PlannedGrip(gripper=name, width=grip.width, force=grip.force, speed=grip.speed, tolerance=grip.tolerance)
 
     def _without(self, names: Collection[str]) -> ReadyScene:
         """The scene without some of its objects."""
-        objects = self._scenes.moved.objects(self._scene)
+        objects = self._scenes.objects(self._scene)
         if missing := set(names) - {item.name for item in objects}:
             raise InvalidRequest(
                 f"there is no object {', '.join(sorted(missing))} in the scene to touch; the scene holds "

@@ -10,7 +10,7 @@ import zenoh
 from zarm_contract.key import Key
 from zarm_contract.keys import ALL_ALIVE, Keys, declared, parse_alive
 
-SERVICES = ("planner", "executor", "servo", "ros_bridge", "leeloo_sim")
+SERVICES = ("planner", "executor", "servo", "perception", "ros_bridge", "leeloo_sim")
 
 
 def every_key(robot: str) -> dict[str, str]:
@@ -22,6 +22,8 @@ def every_key(robot: str) -> dict[str, str]:
         "object_pose": keys.object_pose("*"),
         "goal": keys.goal("*"),
         "gripper_state": keys.gripper_state("*"),
+        "depth": keys.depth("*"),
+        "voxels": keys.voxels("*"),
     }
     of_services = {
         f"{kind}({service})": key

@@ -1,4 +1,4 @@
-"""Scenes ready for planning: prepared once per revision, margins and poses of moving objects."""
+"""Scenes ready for planning: prepared once per revision, margins, poses of moving objects and state of the voxel map."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from zarm_contract.errors import Unavailable
 from zarm_contract.messages import Scene, SceneObject
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import Openings, RobotModel
+from zarm_geometry.voxel_blocks import VoxelBlocks
 from zarm_geometry.world import World
 from zarm_planner.scene.moved_objects import MovedObjects
 from zarm_planner.scene.planning_scene import PlanningScene
@@ -27,6 +28,7 @@ class SceneCache:
     def __init__(self, model: RobotModel, store: SceneStore) -> None:
         self._store = store
         self.moved = MovedObjects(lambda: store.scene)
+        self.voxels = VoxelBlocks()
         self._lock = threading.Lock()
         # The robot with what it carries and the links that are ignored, for the latest of those.
         self._carriers = lru_cache(maxsize=_CARRIERS)(model.with_attached)
@@ -41,7 +43,9 @@ class SceneCache:
             0.0
         )  # measures the clearance between its links, once for all margins
         with suppress(Unavailable):  # a mesh file is missing; every plan will report that
-            self._edited = self.ready(scene, self.moved.objects_to_be(scene), openings)
+            self._edited = self.ready(
+                scene, (*self.moved.objects_to_be(scene), *self.voxels.objects.values()), openings
+            )
 
     def present(self, margin: float, self_margin: float = 0.0, openings: Openings = ()) -> PlanningScene:
         """The present scene with a margin to objects and one between the robot's links (m), and with grippers at these openings.
@@ -50,7 +54,7 @@ class SceneCache:
         """
         with self._lock:
             scene = self._store.scene
-            objects = self.moved.objects(scene)
+            objects = self.objects(scene)
             known = (
                 ready
                 for ready in (self._ready, self._edited)
@@ -58,6 +62,10 @@ class SceneCache:
             )
             ready = self._ready = next(known, None) or self.ready(scene, objects, openings)
         return ready.with_margins(margin, self_margin)
+
+    def objects(self, scene: Scene) -> tuple[SceneObject, ...]:
+        """The obstacles of a scene where they are now, and what the cameras see."""
+        return *self.moved.objects(scene), *self.voxels.objects.values()
 
     def ready(self, scene: Scene, objects: tuple[SceneObject, ...], openings: Openings = ()) -> ReadyScene:
         """A scene with its `objects` in place, reusing unchanged parts of the last world. Raises Unavailable."""

@@ -55,6 +55,7 @@ class SceneCheck:
         self.model, self._meshes = model, meshes
         self.motions = MotionCheck(model, meshes)
         self._objects: Mapping[str, SceneObject] = {}
+        self._world: World | None = None  # the last whole one; the next reuses its unchanged parts
         self._updates = 0
 
     def load(self, objects: Mapping[str, SceneObject], without: Collection[str] = ()) -> None:
@@ -67,7 +68,8 @@ class SceneCheck:
         removed = [name for name in self._objects if name not in objects]
         self._updates += len(changed) + len(removed)
         if self._updates > _UPDATES:
-            self.motions.set_world(World(list(objects.values()), 0.0, self._meshes))
+            self._world = World(list(objects.values()), 0.0, self._meshes, self._world)
+            self.motions.set_world(self._world)
             self._updates = 0
         elif changed or removed:
             self.motions.update(changed, removed)

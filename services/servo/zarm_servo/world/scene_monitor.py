@@ -22,7 +22,7 @@ EARLY = 2.0
 class SceneSnapshot:
     """The known scene. `revision` is None before the first scene.
 
-    `objects` are by name. They may be newer than the scene, because an object is published before its scene. If `lost`,
+    `objects` are by name, blocks of the voxel map among them. They may be newer than the scene, because an object is published before its scene. If `lost`,
     the planner has restarted without its scene, and the last known one still counts. `openings` are those of the grippers.
     """
 
@@ -42,6 +42,7 @@ class SceneMonitor:
         self._lock = threading.Lock()
         self._scene = self._latest = SceneSnapshot()
         self._ignored: frozenset[str] = frozenset()  # objects whose collisions are not checked
+        self._voxels: Mapping[str, SceneObject] = {}
         self._early_until = 0.0
         self._past: OrderedDict[SceneRevision, SceneSnapshot] = OrderedDict()
 
@@ -75,6 +76,19 @@ class SceneMonitor:
             self._latest = replace(self._latest, openings=openings)
         self._changed()
 
+    def on_voxels(self, blocks: Mapping[str, SceneObject]) -> None:
+        """The voxel map has changed: these are all of its blocks."""
+        with self._lock:
+            before, self._voxels = self._voxels, blocks
+            self._scene, self._latest = (
+                replace(
+                    scene,
+                    objects={**{name: item for name, item in scene.objects.items() if name not in before}, **blocks},
+                )
+                for scene in (self._scene, self._latest)
+            )
+        self._changed()
+
     def on_scene(self, _key: str, scene: Scene) -> None:
         """Take the whole scene, published after every edit."""
         with self._lock:
@@ -84,13 +98,13 @@ class SceneMonitor:
             else:
                 # The edit count of a scene only grows; if it does not, the planner has begun a new scene.
                 lost = before.revision is not None and _edits(scene.revision) <= _edits(before.revision)
-            kept = before.objects if lost else {}
+            kept = {name: item for name, item in before.objects.items() if lost and name not in self._voxels}
             objects = {**kept, **{item.name: item for item in scene.obstacles}}
             self._ignored = frozenset(scene.ignored_objects)
-            self._scene = self._latest = SceneSnapshot(
-                scene.revision, objects, scene.carried, scene.ignored_links, lost, before.openings
-            )
-            self._past[scene.revision] = self._scene
+            edited = SceneSnapshot(scene.revision, objects, scene.carried, scene.ignored_links, lost, before.openings)
+            self._scene = self._latest = replace(edited, objects={**objects, **self._voxels})
+            # A plan may have been made before the cameras saw what they see now.
+            self._past[scene.revision] = edited
             self._past.move_to_end(scene.revision)
             if len(self._past) > REMEMBERED:
                 self._past.popitem(last=False)

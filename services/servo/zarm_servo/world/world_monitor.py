@@ -15,6 +15,7 @@ from zarm_contract.keys import Keys
 from zarm_contract.messages import ExecutorState, GoalState, GoalTrajectory, JointState, Message, SceneObject
 from zarm_geometry.gripper_openings import GripperOpenings
 from zarm_geometry.meshes import Meshes
+from zarm_geometry.voxel_blocks import VoxelBlocks
 from zarm_runtime.bus import Bus, Latest
 from zarm_servo.world.moving_objects import MovingObjects
 from zarm_servo.world.scene_monitor import SceneMonitor
@@ -47,6 +48,7 @@ class WorldMonitor:
         self.scene = SceneMonitor(lambda: _call(self.on_change))
         self.grippers = GripperOpenings(descriptor, lambda: self.scene.on_openings(self.grippers.present()))
         self.scene.on_openings(self.grippers.present())
+        self.voxels = VoxelBlocks(lambda: self.scene.on_voxels(self.voxels.objects))
         self.moving = MovingObjects(self.scene, meshes, lambda: _call(self.on_move))
 
     @contextmanager
@@ -54,6 +56,7 @@ class WorldMonitor:
         """Read the bus in this block."""
         bus.watch(keys.gripper_state("*"), self.grippers.receive)
         bus.watch(keys.scene, self.scene.on_scene)
+        bus.watch(keys.voxels("*"), self.voxels.receive)
         bus.listen(keys.scene_object("*"), self._on_object)
         bus.watch(keys.executor_state, lambda _, state: _call(self.on_state, state))
         bus.watch(keys.goal("*"), lambda _, goal: _call(self.on_goal, goal))

@@ -1,0 +1,49 @@
+"""The cameras of a robot, and the voxel map that is made of them."""
+
+from __future__ import annotations
+
+from zarm.calls import Calls
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.image import PIXEL_BYTES, encode_image
+from zarm_contract.messages import Camera, CameraChange, ImageHeader, Nothing, PerceptionState
+
+
+class Perception(Calls):
+    """The perception of a robot that runs with `zarm up --perception`."""
+
+    def cameras(self) -> tuple[Camera, ...]:
+        """The depth cameras there are."""
+        return self._ask(self._keys.cameras, CameraChange()).cameras
+
+    def add(self, camera: Camera) -> tuple[Camera, ...]:
+        """Add a camera, or replace the one with its name. Returns all of them."""
+        return self._ask(self._keys.cameras, CameraChange(add=camera)).cameras
+
+    def remove(self, camera: str) -> tuple[Camera, ...]:
+        """Remove a camera by name; what it has seen stays. Returns the others."""
+        return self._ask(self._keys.cameras, CameraChange(remove=camera)).cameras
+
+    def publish(
+        self, camera: str, stamp: float, pixels: bytes, *, width: int, height: int, encoding: str = "16UC1"
+    ) -> None:
+        """Publish a depth image that was taken at `stamp` (Unix time, s): rows of `16UC1` (mm) or `32FC1` (m) in little-endian.
+
+        ```python
+        depth = numpy.asarray(frame.get_data())  # (480, 640), uint16, mm
+        robot.perception.publish("wrist", time.time(), depth.tobytes(), width=640, height=480)
+        ```
+        """
+        if encoding not in PIXEL_BYTES:
+            raise InvalidRequest(
+                f"{encoding} is no encoding of depth; use {' or '.join(PIXEL_BYTES)}", field="encoding"
+            )
+        header = ImageHeader.model_validate({"stamp": stamp, "width": width, "height": height, "encoding": encoding})
+        self.connection.publisher(self._keys.depth(camera)).put_encoded(encode_image(header, pixels))
+
+    def clear(self) -> None:
+        """Forget what the cameras have seen."""
+        self._ask(self._keys.perception_clear, Nothing())
+
+    def state(self) -> PerceptionState:
+        """What the cameras see, and whether they do."""
+        return self.connection.read(self._keys.perception_state)

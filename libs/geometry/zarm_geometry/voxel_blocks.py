@@ -1,0 +1,52 @@
+"""The voxel map as objects: one for each block that holds occupied voxels."""
+
+from __future__ import annotations
+
+import threading
+from base64 import b64decode
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from zarm_contract.messages import VoxelBlock, Voxels
+from zarm_contract.messages.perception import BLOCK
+
+MAP = "map."
+"""With this begin the names of its objects; the name of the block follows."""
+
+
+class VoxelBlocks:
+    """The newest blocks of the voxel map. Thread-safe. `changed()` is called after every change."""
+
+    def __init__(self, changed: Callable[[], object] = lambda: None) -> None:
+        self._changed = changed
+        self._lock = threading.Lock()
+        self._objects: Mapping[str, Voxels] = {}
+
+    @property
+    def objects(self) -> Mapping[str, Voxels]:
+        """The objects by name: the same mapping as long as nothing has changed, and the same object for a block that has not."""
+        return self._objects
+
+    def receive(self, key: str, block: VoxelBlock) -> None:
+        """Take a block on its key."""
+        name = MAP + key.rpartition("/")[2]
+        with self._lock:
+            objects = {other: item for other, item in self._objects.items() if other != name}
+            if block.cells:
+                objects[name] = _voxels(name, block)
+            self._objects = objects
+        self._changed()
+
+
+def _voxels(name: str, block: VoxelBlock) -> Voxels:
+    bits = np.unpackbits(np.frombuffer(b64decode(block.cells), np.uint8)).reshape(BLOCK, BLOCK, BLOCK)
+    cells = tuple((i, j, k) for i, j, k in np.argwhere(bits).tolist())
+    return Voxels.model_construct(  # from the fields of a valid block
+        kind="voxels",
+        name=name,
+        position=block.position,
+        orientation=(0.0, 0.0, 0.0, 1.0),
+        resolution=block.resolution,
+        cells=cells,
+    )

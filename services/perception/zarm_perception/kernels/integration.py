@@ -1,0 +1,246 @@
+"""A depth image in a voxel map: what of it is the robot, which voxels it marks, and which it sees through.
+
+Camera frames are optical: z forward, x right, y down. A depth is the z of a point (m), 0 where it is unknown.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.convex import core_distance
+
+Array = NDArray[np.float64]
+Depth = NDArray[np.float32]
+Mask = NDArray[np.uint8]
+
+UNSEEN, FREE, OCCUPIED = 0, 1, 2
+"""States of a voxel."""
+BLOCK = 16
+"""Voxels along each edge of a block."""
+
+
+class View(NamedTuple):
+    """A camera at the moment of an image: focal lengths and principal point (px), its pose `turn` (3, 3) and `place` (3,) in the
+    base frame, and the least and the greatest depth (m) that count.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    turn: Array
+    place: Array
+    near: float
+    far: float
+
+
+class Grid(NamedTuple):
+    """A voxel map: `state` (nx, ny, nz), and the number of the last image that `marked` each voxel (nx, ny, nz). Voxel (0, 0, 0) is
+    centred at `origin` (3,), and each is `resolution` (m) wide. `changed` are the blocks in which a state has changed.
+    """
+
+    state: Mask
+    marked: NDArray[np.int32]
+    changed: Mask
+    origin: Array
+    resolution: float
+
+
+@inlined
+def _is_near(depth: float, other: float) -> bool:
+    return abs(other - depth) <= _STEP * depth
+
+
+_STEP = 0.03
+"""The largest step between neighbouring pixels of one surface, as a share of its depth."""
+
+
+@kernel
+def cleaned(depth: Depth, near: float, far: float, out: Depth) -> None:
+    """Write to `out` the depths (h, w) that count: 0 where a depth is unknown or below `near`, where fewer than two of the four
+    neighbours are on the same surface, which is how edges look that a camera smears; and `far` for what is beyond.
+    """
+    height, width = depth.shape
+    for v in range(height):
+        for u in range(width):
+            d = depth[v, u]
+            out[v, u] = 0.0
+            if not d >= near:  # also NaN
+                continue
+            if d >= far:
+                out[v, u] = far
+                continue
+            same = 0
+            if u > 0 and _is_near(d, depth[v, u - 1]):
+                same += 1
+            if u < width - 1 and _is_near(d, depth[v, u + 1]):
+                same += 1
+            if v > 0 and _is_near(d, depth[v - 1, u]):
+                same += 1
+            if v < height - 1 and _is_near(d, depth[v + 1, u]):
+                same += 1
+            if same >= 2:
+                out[v, u] = d
+
+
+@kernel
+def mask_robot(depth: Depth, view: View, parts: Array, balls: Array, padding: float, mask: Mask) -> None:
+    """Set `mask` (h, w) where the point of a pixel is within `padding` (m) of one of the convex `parts` (m, 17), see
+    `zarm_geometry.rows`, each inside one of `balls` (m, 4), all in the base frame.
+    """
+    height, width = depth.shape
+    turn, place = view.turn, view.place
+    for m in range(parts.shape[0]):
+        x, y, z = balls[m, 0] - place[0], balls[m, 1] - place[1], balls[m, 2] - place[2]
+        a = turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z
+        b = turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z
+        c = turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z
+        r = balls[m, 3] + padding
+        if c + r <= 0.0:
+            continue
+        left, right, top, bottom = 0, width, 0, height
+        nearest = c - r
+        if nearest > 0.01:
+            across, down = view.fx * r / nearest, view.fy * r / nearest
+            u, v = view.cx + view.fx * a / c, view.cy + view.fy * b / c
+            # The ball is seen at most r / nearest around its centre, which itself shifts with the depth by less.
+            wide, high = across + abs(u - view.cx) * r / nearest, down + abs(v - view.cy) * r / nearest
+            left, right = max(0, math.floor(u - wide)), min(width, math.ceil(u + wide) + 1)
+            top, bottom = max(0, math.floor(v - high)), min(height, math.ceil(v + high) + 1)
+        p = parts[m]
+        core = (p[12], p[13], p[14], p[15])
+        most = padding + p[16]
+        for v in range(top, bottom):
+            for u in range(left, right):
+                d = depth[v, u]
+                if d < nearest or d > c + r or d == 0.0 or mask[v, u] != 0:
+                    continue
+                px, py = (u - view.cx) / view.fx * d, (v - view.cy) / view.fy * d
+                if (px - a) ** 2 + (py - b) ** 2 + (d - c) ** 2 > r * r:
+                    continue
+                wx = turn[0, 0] * px + turn[0, 1] * py + turn[0, 2] * d + place[0]
+                wy = turn[1, 0] * px + turn[1, 1] * py + turn[1, 2] * d + place[1]
+                wz = turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] * d + place[2]
+                local = (
+                    p[0] * wx + p[1] * wy + p[2] * wz + p[3],
+                    p[4] * wx + p[5] * wy + p[6] * wz + p[7],
+                    p[8] * wx + p[9] * wy + p[10] * wz + p[11],
+                )
+                if core_distance(local, core) <= most:
+                    mask[v, u] = 1
+
+
+@kernel
+def mark(grid: Grid, depth: Depth, view: View, mask: Mask, number: int) -> int:
+    """Mark as occupied the voxels in which a pixel that counts ends, except those of the `mask` (h, w) and those without a
+    surface. Returns how many pixels marked one.
+    """
+    height, width = depth.shape
+    turn, place, origin, size = view.turn, view.place, grid.origin, grid.resolution
+    nx, ny, nz = grid.state.shape
+    per = 1.0 / size
+    count = 0
+    for v in range(height):
+        y = (v - view.cy) / view.fy
+        for u in range(width):
+            d = depth[v, u]
+            if d == 0.0 or d >= view.far or mask[v, u] != 0:
+                continue
+            x = (u - view.cx) / view.fx
+            i = math.floor(((turn[0, 0] * x + turn[0, 1] * y + turn[0, 2]) * d + place[0] - origin[0]) * per + 0.5)
+            j = math.floor(((turn[1, 0] * x + turn[1, 1] * y + turn[1, 2]) * d + place[1] - origin[1]) * per + 0.5)
+            k = math.floor(((turn[2, 0] * x + turn[2, 1] * y + turn[2, 2]) * d + place[2] - origin[2]) * per + 0.5)
+            if i < 0 or j < 0 or k < 0 or i >= nx or j >= ny or k >= nz:
+                continue
+            count += 1
+            grid.marked[i, j, k] = number
+            if grid.state[i, j, k] != OCCUPIED:
+                grid.state[i, j, k] = OCCUPIED
+                grid.changed[i // BLOCK, j // BLOCK, k // BLOCK] = 1
+    return count
+
+
+@kernel
+def least_depths(depth: Depth) -> Depth:
+    """The least depth in squares of 2, 4, 8 ... pixels, one below the other, (levels, h, w): level l holds in (v, u) that of the
+    square of 2^l pixels from (v * 2^l, u * 2^l) on; level 0 is `depth` itself.
+    """
+    height, width = depth.shape
+    levels = 1
+    while (1 << levels) < max(height, width):
+        levels += 1
+    out = np.zeros((levels, height, width), np.float32)
+    out[0] = depth
+    for level in range(1, levels):
+        rows, columns = (height + (1 << level) - 1) >> level, (width + (1 << level) - 1) >> level
+        below_rows, below_columns = (
+            (height + (1 << (level - 1)) - 1) >> (level - 1),
+            (width + (1 << (level - 1)) - 1) >> (level - 1),
+        )
+        for v in range(rows):
+            for u in range(columns):
+                least = np.float32(np.inf)
+                for dv in range(2):
+                    for du in range(2):
+                        if 2 * v + dv < below_rows and 2 * u + du < below_columns:
+                            least = min(least, out[level - 1, 2 * v + dv, 2 * u + du])
+                out[level, v, u] = least
+    return out
+
+
+@kernel
+def clear(grid: Grid, least: Depth, view: View, number: int) -> int:
+    """Free the voxels through all of which the camera sees, except those that image `number` marked. `least` as `least_depths`
+    has it. Returns how many occupied ones it freed.
+
+    A voxel is seen through if every pixel on which it can appear is deeper than all of it; so what is beside it in the
+    image keeps it, and never the other way around.
+    """
+    nx, ny, nz = grid.state.shape
+    levels, height, width = least.shape
+    turn, place, size = view.turn, view.place, grid.resolution
+    reach = 0.5 * math.sqrt(3.0) * size
+    freed = 0
+    for i in range(nx):
+        x = grid.origin[0] + i * size - place[0]
+        for j in range(ny):
+            y = grid.origin[1] + j * size - place[1]
+            for k in range(nz):
+                state = grid.state[i, j, k]
+                if state == FREE or (state == OCCUPIED and grid.marked[i, j, k] == number):
+                    continue
+                z = grid.origin[2] + k * size - place[2]
+                c = turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z
+                if c - reach < view.near or c + reach >= view.far:
+                    continue
+                a = (turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z) / c
+                b = (turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z) / c
+                u, v = view.cx + view.fx * a, view.cy + view.fy * b
+                away = reach / (c - reach)
+                wide, high = view.fx * away * (1.0 + abs(a)), view.fy * away * (1.0 + abs(b))
+                left, right = math.floor(u - wide), math.ceil(u + wide)
+                top, bottom = math.floor(v - high), math.ceil(v + high)
+                if left < 0 or top < 0 or right >= width or bottom >= height:
+                    continue
+                level = 0
+                while level < levels - 1 and (2 << level) <= min(right - left, bottom - top):
+                    level += 1
+                deeper = True
+                for row in range(top >> level, (bottom >> level) + 1):
+                    for column in range(left >> level, (right >> level) + 1):
+                        if least[level, row, column] <= c + reach:
+                            deeper = False
+                            break
+                    if not deeper:
+                        break
+                if deeper:
+                    grid.state[i, j, k] = FREE
+                    grid.changed[i // BLOCK, j // BLOCK, k // BLOCK] = 1
+                    if state == OCCUPIED:
+                        freed += 1
+    return freed

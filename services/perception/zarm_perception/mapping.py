@@ -1,0 +1,197 @@
+"""Turns images into the voxel map, and publishes what changes."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from base64 import b64encode
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import (
+    Camera,
+    CameraChange,
+    Cameras,
+    Nothing,
+    PerceptionState,
+    Scene,
+    VoxelBlock,
+)
+from zarm_contract.messages.perception import BLOCK, MAX_CAMERAS
+from zarm_geometry.gripper_openings import GripperOpenings
+from zarm_geometry.robot_model import RobotModel
+from zarm_perception.cameras import CameraSource, Image
+from zarm_perception.joint_history import JointHistory
+from zarm_perception.robot_shape import RobotShapes
+from zarm_perception.voxel_map import BlockIndex, VoxelMap
+
+log = logging.getLogger(__name__)
+
+_PATIENCE = 0.05
+"""How long (s) an image waits for the joints at its stamp."""
+_STATE_PERIOD = 0.5
+"""s between two states."""
+
+
+class Mapping:
+    """The voxel map of a robot: takes images from any thread, one after the other, the newest of each camera.
+
+    `publish(block, message)` is called for each block that has changed, `report(state)` twice a second.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        voxels: VoxelMap,
+        padding: float,
+        history: JointHistory,
+        grippers: GripperOpenings,
+        publish: Callable[[str, VoxelBlock], object],
+        report: Callable[[PerceptionState], object],
+    ) -> None:
+        self._model, self._voxels, self._padding = model, voxels, padding
+        self._history, self._grippers = history, grippers
+        self._publish, self._report = publish, report
+        self._sources: dict[str, CameraSource] = {}
+        self._waiting: dict[str, Image] = {}
+        self._scene = Scene(revision="0-000000000000")
+        self._shapes: tuple[tuple[object, ...], RobotShapes] | None = None
+        self._published: dict[BlockIndex, str] = {}
+        self._lock = threading.Lock()
+        self._map_lock = threading.Lock()
+        self._news = threading.Event()
+        self._ended = False
+        self._thread = threading.Thread(target=self._run, name="mapping")
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended = True
+        self._news.set()
+        self._thread.join()
+
+    # -- what comes in, from any thread --
+
+    def change(self, change: CameraChange) -> Cameras:
+        """Add or remove a camera. Raises InvalidRequest."""
+        with self._lock:
+            if change.add is not None:
+                self.add(change.add)
+            if change.remove is not None:
+                if change.remove not in self._sources:
+                    known = ", ".join(self._sources) or "none"
+                    raise InvalidRequest(f"there is no camera {change.remove}; there are {known}", field="remove")
+                self._sources = {name: one for name, one in self._sources.items() if name != change.remove}
+            return self.cameras
+
+    def add(self, camera: Camera) -> None:
+        """Add a camera, or replace the one with its name. Raises InvalidRequest."""
+        if len({*self._sources, camera.name}) > MAX_CAMERAS:
+            raise InvalidRequest(f"at most {MAX_CAMERAS} cameras; remove one first", field="add")
+        self._sources = {**self._sources, camera.name: CameraSource(camera, self._model)}
+
+    @property
+    def cameras(self) -> Cameras:
+        """The cameras there are."""
+        return Cameras(cameras=tuple(source.camera for source in self._sources.values()))
+
+    def on_scene(self, _key: str, scene: Scene) -> None:
+        """Take what the robot carries."""
+        self._scene = scene
+
+    def on_image(self, key: str, payload: bytes) -> None:
+        """Take a depth image on the key of its camera."""
+        name = key.rpartition("/")[2]
+        source = self._sources.get(name)
+        if source is None:
+            log.warning("dropped an image camera=%s reason=no_such_camera", name)
+            return
+        try:
+            image = source.read(payload)
+        except InvalidRequest as error:
+            source.refused(str(error))
+            return
+        if image is not None:
+            with self._lock:
+                self._waiting[name] = image
+            self._news.set()
+
+    def clear(self, _: Nothing) -> Nothing:
+        """Forget what was seen."""
+        with self._map_lock:
+            self._voxels.forget()
+            self._publish_changes()
+        return Nothing()
+
+    # -- the map, in a thread of its own --
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        while not self._ended:
+            if self._news.wait(max(0.0, due - time.monotonic())):
+                self._news.clear()
+                with self._lock:
+                    images, self._waiting = self._waiting, {}
+                for name, image in images.items():
+                    if (source := self._sources.get(name)) is not None:
+                        self._take(source, image)
+            if time.monotonic() >= due:
+                due = time.monotonic() + _STATE_PERIOD
+                self._report(self._state())
+
+    def _take(self, source: CameraSource, image: Image) -> None:
+        joints = self._history.at(image.stamp, _PATIENCE)
+        if joints is None:
+            source.refused("the joints at the time of its image are unknown: are the clocks the same?")
+            return
+        begun = time.perf_counter()
+        with self._map_lock:
+            seen = self._voxels.integrate(image.depth, source.view(joints), self._robot().at(joints), self._padding)
+            self._publish_changes()
+        pixels = image.depth.size
+        source.taken(seen.valid / pixels, seen.robot / pixels, time.perf_counter() - begun)
+
+    def _robot(self) -> RobotShapes:
+        """The robot with what it carries, and its grippers as they are."""
+        scene, openings = self._scene, self._grippers.present()
+        key = (scene.carried, openings)
+        if self._shapes is None or self._shapes[0] != key:
+            self._shapes = key, RobotShapes(self._model.with_attached(scene.carried, (), openings))
+        return self._shapes[1]
+
+    def _publish_changes(self) -> None:
+        for index, first, occupied in self._voxels.changes():
+            full = np.zeros((BLOCK,) * 3, np.bool_)
+            full[tuple(slice(0, n) for n in occupied.shape)] = occupied
+            cells = b64encode(np.packbits(full).tobytes()).decode() if occupied.any() else ""
+            if self._published.get(index, "") == cells:
+                continue
+            self._published[index] = cells
+            x, y, z = first.tolist()
+            block = VoxelBlock(position=(x, y, z), resolution=self._voxels.resolution, cells=cells)
+            self._publish("{}.{}.{}".format(*index), block)
+
+    def _state(self) -> PerceptionState:
+        cameras = tuple(source.state for source in self._sources.values())
+        voxels = self._voxels
+        (a, b, c), (x, y, z) = voxels.lower.tolist(), voxels.upper.tolist()
+        return PerceptionState(
+            cameras=cameras,
+            lower=(a, b, c),
+            upper=(x, y, z),
+            resolution=voxels.resolution,
+            padding=self._padding,
+            unseen="occupied" if voxels.unseen_occupied else "free",
+            occupied=int(np.count_nonzero(voxels.occupied)),
+            stale=any(state.problem for state in cameras),
+            stamp=time.time(),
+        )

@@ -1,0 +1,115 @@
+"""The voxel map: what cameras have seen of a box around the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_perception.kernels.integration import (
+    BLOCK,
+    FREE,
+    OCCUPIED,
+    UNSEEN,
+    Depth,
+    Grid,
+    View,
+    cleaned,
+    clear,
+    least_depths,
+    mark,
+    mask_robot,
+)
+
+Array = NDArray[np.float64]
+Cells = NDArray[np.bool_]
+BlockIndex = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class RobotShape:
+    """The robot at some joints: convex `parts` (m, 17), see `zarm_geometry.rows`, each inside one of `balls` (m, 4)."""
+
+    parts: Array
+    balls: Array
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What an image has done: pixels with a depth, pixels of the robot, pixels in the map, and voxels that it freed."""
+
+    valid: int
+    robot: int
+    marking: int
+    freed: int
+
+
+class VoxelMap:
+    """The voxels of a box from `lower` to `upper` (3,) in m, base frame, `resolution` (m) wide. With `unseen_occupied` a voxel is
+    occupied until a camera has seen through it. Not thread-safe.
+    """
+
+    def __init__(self, lower: Array, upper: Array, resolution: float, *, unseen_occupied: bool = False) -> None:
+        self.lower, self.upper, self.resolution = np.asarray(lower, float), np.asarray(upper, float), resolution
+        self.unseen_occupied = unseen_occupied
+        shape = np.maximum(1, np.ceil((self.upper - self.lower) / resolution - 1e-6)).astype(int)
+        self._blocks = tuple(int(n) for n in -(-shape // BLOCK))
+        self._grid = Grid(
+            np.full(shape, UNSEEN, np.uint8),
+            np.zeros(shape, np.int32),
+            np.zeros(self._blocks, np.uint8),
+            self.lower + resolution / 2.0,
+            resolution,
+        )
+        self._images = 0
+        if unseen_occupied:
+            self._grid.changed[:] = 1
+
+    def integrate(self, depth: Depth, view: View, robot: RobotShape, padding: float) -> Seen:
+        """Take an image (h, w), without what is within `padding` (m) of the robot."""
+        self._images += 1
+        counted = np.empty_like(depth)
+        cleaned(depth, view.near, view.far, counted)
+        mask = np.zeros(depth.shape, np.uint8)
+        mask_robot(counted, view, robot.parts, robot.balls, padding, mask)
+        marking = mark(self._grid, counted, view, mask, self._images)
+        freed = clear(self._grid, least_depths(counted), view, self._images)
+        return Seen(int(np.count_nonzero(counted)), int(mask.sum()), marking, freed)
+
+    def forget(self) -> None:
+        """Make everything unseen."""
+        self._grid.changed[:] = 1
+        self._grid.state[:] = UNSEEN
+
+    @property
+    def occupied(self) -> Cells:
+        """Which voxels (nx, ny, nz) are occupied."""
+        state = self._grid.state
+        return np.asarray(state != FREE if self.unseen_occupied else state == OCCUPIED)
+
+    @property
+    def states(self) -> NDArray[np.uint8]:
+        """The state (nx, ny, nz) of each voxel: unseen, free or occupied."""
+        return self._grid.state
+
+    def changes(self) -> Iterator[tuple[BlockIndex, Array, Cells]]:
+        """The blocks that have changed since the last call: index, centre of the first voxel (3,), and which voxels
+        (up to 16, 16, 16) are occupied.
+        """
+        occupied = self.occupied
+        for index in np.argwhere(self._grid.changed):
+            first = index * BLOCK
+            i, j, k = (slice(n, n + BLOCK) for n in first)
+            yield (
+                (int(index[0]), int(index[1]), int(index[2])),
+                self._grid.origin + first * self.resolution,
+                occupied[i, j, k],
+            )
+        self._grid.changed[:] = 0
+
+    def cell_of(self, point: Array) -> BlockIndex:
+        """The voxel that contains a point (3,) of the box."""
+        i, j, k = np.floor((point - self.lower) / self.resolution).astype(int)
+        return int(i), int(j), int(k)

@@ -1,0 +1,117 @@
+"""The depth cameras of the simulation: they see what is there, and publish it as real ones do."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.image import encode_image
+from zarm_contract.messages import Camera, Cameras, ImageHeader
+from zarm_physics_sim.arm import PhysicalArm
+from zarm_physics_sim.simulation import Simulation
+
+log = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+
+_NEAR, _FAR = 0.02, 50.0
+"""What is nearer or farther (m) is not seen at all."""
+_MOST = 65.535
+"""The greatest depth (m) of a pixel."""
+_WAIT = 0.2
+"""s until it is looked again whether there is a camera."""
+
+
+class DepthRenderer:
+    """Renders depth images of one simulation. To be used in one thread."""
+
+    def __init__(self, simulation: Simulation, width: int, height: int) -> None:
+        self.simulation, self.size = simulation, (width, height)
+        self._renderer: Any = simulation.renderer(width, height, _NEAR, _FAR)
+        self._renderer.enable_depth_rendering()
+
+    def close(self) -> None:
+        """Give the graphics memory back."""
+        self._renderer.close()
+
+    def depth(self, camera: Camera, data: Any) -> NDArray[np.uint16]:
+        """The depths (h, w) in mm that a camera sees in the state `data`, 0 beyond what a pixel holds."""
+        renderer = self._renderer
+        place, turn = self.simulation.frame(data, camera.link, camera.position, camera.orientation)
+        renderer.update_scene(data)
+        for eye in renderer.scene.camera:
+            eye.pos, eye.forward, eye.up = place, turn[:, 2], -turn[:, 1]
+            eye.frustum_near, eye.frustum_far = _NEAR, _FAR
+            left, right = -(camera.cx + 0.5) / camera.fx, (camera.width - 0.5 - camera.cx) / camera.fx
+            top, bottom = (camera.cy + 0.5) / camera.fy, -(camera.height - 0.5 - camera.cy) / camera.fy
+            eye.frustum_center, eye.frustum_width = 0.5 * (left + right) * _NEAR, 0.5 * (right - left) * _NEAR
+            eye.frustum_top, eye.frustum_bottom = top * _NEAR, bottom * _NEAR
+        depth = renderer.render()
+        return np.where(depth < _MOST, np.rint(1000.0 * depth), 0.0).astype(np.uint16)
+
+
+class SimulatedCameras:
+    """Renders each camera at its rate, in a thread of its own, and passes image after image to `publish(name, payload)`."""
+
+    def __init__(self, arm: PhysicalArm, publish: Callable[[str, bytes], object]) -> None:
+        self._arm, self._publish = arm, publish
+        self._cameras: tuple[Camera, ...] = ()
+        self._changed = threading.Event()
+        self._ended = False
+        self._thread = threading.Thread(target=self._run, name="cameras")
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended = True
+        self._changed.set()
+        self._thread.join()
+
+    def receive(self, _key: str, cameras: Cameras) -> None:
+        """These are the cameras from now on."""
+        self._cameras = cameras.cameras
+        self._changed.set()
+
+    def _run(self) -> None:
+        renderers: dict[tuple[int, int], DepthRenderer] = {}
+        due: dict[str, float] = {}
+        try:
+            while not self._ended:
+                now, cameras = time.monotonic(), self._cameras
+                soon = [camera for camera in cameras if due.get(camera.name, now) <= now]
+                for camera in soon:
+                    due[camera.name] = max(due.get(camera.name, now), now - 1.0) + 1.0 / camera.rate
+                    self._take(camera, renderers)
+                next_due = min((due[camera.name] for camera in cameras), default=now + _WAIT)
+                if self._changed.wait(max(0.0, next_due - time.monotonic())):
+                    self._changed.clear()
+        except Exception:  # without a way to render, or out of graphics memory: the robot goes on
+            log.exception("the cameras see nothing any more")
+        finally:
+            for renderer in renderers.values():
+                renderer.close()
+
+    def _take(self, camera: Camera, renderers: dict[tuple[int, int], DepthRenderer]) -> None:
+        size = (camera.width, camera.height)
+        simulation, data, stamp = self._arm.picture()
+        known = renderers.get(size)
+        if known is None or known.simulation is not simulation:
+            if known is not None:
+                known.close()
+            known = renderers[size] = DepthRenderer(simulation, *size)
+            simulation, data, stamp = self._arm.picture()
+            if simulation is not known.simulation:
+                return
+        header = ImageHeader(stamp=stamp, width=camera.width, height=camera.height, encoding="16UC1")
+        self._publish(camera.name, encode_image(header, known.depth(camera, data).tobytes()))

@@ -1,0 +1,117 @@
+"""A camera's images: where they were taken, and what is said of those that cannot be used."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.image import decode_image, encode_image
+from zarm_contract.messages import Camera, ImageHeader, JointState
+from zarm_contract.robot import load_robot
+from zarm_geometry.frames import matrix
+from zarm_geometry.robot_model import RobotModel
+from zarm_perception.cameras import CameraSource
+from zarm_perception.joint_history import JointHistory
+
+M1013 = RobotModel.of(load_robot("doosan_m1013"))
+JOINTS = M1013.robot.descriptor.joints
+HOME = np.array(M1013.robot.descriptor.home)
+PIXELS = np.full((16, 32), 1500, "<u2")
+
+
+def camera(link: str | None = None) -> Camera:
+    pose = {"position": (0.1, 0.0, 0.2), "orientation": (0.0, 0.6, 0.0, 0.8)}
+    return Camera(name="eye", link=link, width=32, height=16, fx=30.0, fy=30.0, cx=15.5, cy=7.5, **pose)
+
+
+def payload(stamp: float, pixels: np.ndarray = PIXELS, encoding: str = "16UC1", width: int | None = None) -> bytes:
+    header = ImageHeader(stamp=stamp, width=width or pixels.shape[1], height=pixels.shape[0], encoding=encoding)
+    return encode_image(header, pixels.tobytes())
+
+
+def state(stamp: float, *positions: float) -> JointState:
+    return JointState(stamp=stamp, joint_names=JOINTS, position=positions, velocity=(0.0,) * 6)
+
+
+@pytest.mark.parametrize(("pixels", "encoding"), [(PIXELS, "16UC1"), (PIXELS.astype("<f4") / 1000.0, "32FC1")])
+def test_both_encodings_are_read_in_metres(pixels: np.ndarray, encoding: str) -> None:
+    image = CameraSource(camera(), M1013).read(payload(time.time(), pixels, encoding))
+    assert image is not None
+    np.testing.assert_allclose(image.depth, 1.5)
+
+
+def test_a_camera_on_a_link_moves_with_it() -> None:
+    view = CameraSource(camera("link_6"), M1013).view(HOME)
+    expected = M1013.fk_link("link_6", HOME) @ matrix((0.1, 0.0, 0.2), (0.0, 0.6, 0.0, 0.8))
+    np.testing.assert_allclose(view.place, expected[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(view.turn, expected[:3, :3], atol=1e-12)
+    assert CameraSource(camera("link_6"), M1013).moves
+    assert not CameraSource(camera(), M1013).moves
+
+
+def test_a_camera_on_a_link_that_is_not_there_is_refused() -> None:
+    with pytest.raises(InvalidRequest, match="the robot has no link elbow"):
+        CameraSource(camera("elbow"), M1013)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (lambda: b"\x00" * 2000, "begins with its header, a line of JSON"),
+        (lambda: b"{}\n", "Field required"),
+        (lambda: payload(time.time()) + b"more", "1028 bytes of pixels, where 32 x 16 of 16UC1 take 1024"),
+        (lambda: payload(time.time(), np.zeros((16, 64), "<u2")), "64 x 16 pixels, where the camera eye has 32 x 16"),
+        (lambda: payload(time.time() + 0.3), "in the future; make the clocks agree"),
+        (lambda: payload(time.time() - 0.9), "s old (at most 0.5 s)"),
+    ],
+)
+def test_an_image_that_cannot_be_used_is_refused_with_the_reason(content: object, words: str) -> None:
+    assert callable(content)
+    with pytest.raises(InvalidRequest) as caught:
+        CameraSource(camera(), M1013).read(content())
+    assert words in str(caught.value)
+
+
+def test_an_image_that_comes_twice_or_late_counts_once() -> None:
+    source, now = CameraSource(camera(), M1013), time.time()
+    assert source.read(payload(now)) is not None
+    assert source.read(payload(now)) is None
+    assert source.read(payload(now - 0.1)) is None
+    assert source.read(payload(now + 0.001)) is not None
+
+
+def test_the_state_says_what_is_wrong() -> None:
+    source = CameraSource(camera(), M1013)
+    source.taken(0.8, 0.1, 0.004)
+    assert source.state.problem == ""
+    assert source.state.images == 1
+    source.taken(0.01, 0.0, 0.004)
+    assert source.state.problem == "only 1.0 % of its pixels have a depth: is it covered?"
+    source.taken(0.9, 0.0, 0.004)
+    assert source.state.problem == ""
+    source.refused("the image is stamped 0.300 s in the future")
+    assert "in the future" in source.state.problem
+
+
+def test_header_and_pixels_come_back_as_they_went() -> None:
+    header, pixels = decode_image(payload(12.5))
+    assert (header.stamp, header.width, header.height) == (12.5, 32, 16)
+    assert bytes(pixels) == PIXELS.tobytes()
+
+
+def test_joints_are_interpolated_at_the_moment_of_an_image() -> None:
+    history = JointHistory(JOINTS)
+    history.receive("", state(10.0, *[0.0] * 6))
+    history.receive("", state(10.1, *[1.0] * 6))
+    middle = history.at(10.04)
+    assert middle is not None
+    np.testing.assert_allclose(middle, 0.4)
+    last = history.at(10.2)
+    assert last is not None
+    np.testing.assert_allclose(last, 1.0)
+    assert history.at(10.4) is None, "what was measured is too old"
+    assert history.at(9.5) is None
+    assert JointHistory(JOINTS).at(10.0) is None

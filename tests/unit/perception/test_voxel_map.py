@@ -1,0 +1,217 @@
+"""The voxel map against exact ray casting: what is seen is occupied, what is seen through is free, and the robot is not there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from zarm_contract.messages import Cuboid, Cylinder, Primitive, Sphere
+from zarm_contract.robot import load_robot
+from zarm_geometry import rows
+from zarm_geometry.robot_model import RobotModel
+from zarm_perception.kernels.integration import FREE, OCCUPIED, UNSEEN, View
+from zarm_perception.robot_shape import RobotShapes
+from zarm_perception.voxel_map import RobotShape, VoxelMap
+
+Array = NDArray[np.float64]
+
+WIDTH, HEIGHT, FOCAL = 160, 120, 150.0
+NOBODY = RobotShape(np.zeros((0, 17)), np.zeros((0, 4)))
+WALL = Cuboid(kind="cuboid", name="wall", position=(-0.9, 0.0, 0.5), size=(0.1, 4.0, 4.0))
+M1013 = RobotModel.of(load_robot("doosan_m1013"))
+HOME = np.array(M1013.robot.descriptor.home)
+
+
+def looking(eye: tuple[float, float, float], at: tuple[float, float, float], focal: float = FOCAL) -> View:
+    z = np.subtract(at, eye) / np.linalg.norm(np.subtract(at, eye))
+    x = np.cross(z, [0.0, 0.0, 1.0])
+    x /= np.linalg.norm(x)
+    turn = np.column_stack((x, np.cross(z, x), z))
+    return View(focal, focal, WIDTH / 2 - 0.5, HEIGHT / 2 - 0.5, turn, np.array(eye), 0.1, 4.0)
+
+
+def rays(view: View) -> Array:
+    """The directions (h, w, 3) of the pixels in the base frame, 1 m deep."""
+    u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    local = np.stack(((u - view.cx) / view.fx, (v - view.cy) / view.fy, np.ones(u.shape)), axis=-1)
+    return local @ view.turn.T
+
+
+def image(view: View, shapes: Array) -> NDArray[np.float32]:
+    """What an ideal camera sees of shapes (m, 17): sphere tracing, to 0.1 mm; infinite where nothing is."""
+    direction = rays(view).reshape(-1, 3)
+    length = np.linalg.norm(direction, axis=1)
+    depth = np.zeros(len(direction))
+    going = np.arange(len(direction))
+    for _ in range(200):
+        away = rows.distances(view.place + depth[going, None] * direction[going], shapes).min(axis=1)
+        depth[going] += away / length[going]
+        going = going[(away > 1e-4) & (depth[going] < 5.0)]
+        if not len(going):
+            break
+    depth[depth >= 5.0] = np.inf
+    return depth.reshape(HEIGHT, WIDTH).astype(np.float32)
+
+
+def seen(view: View, *things: Primitive) -> NDArray[np.float32]:
+    return image(view, rows.primitives([*things]))
+
+
+def empty_map(*, unseen_occupied: bool = False) -> VoxelMap:
+    return VoxelMap(np.full(3, -1.0), np.ones(3), 0.02, unseen_occupied=unseen_occupied)
+
+
+def cells(voxels: VoxelMap, points: Array) -> NDArray[np.int64]:
+    found = np.floor((points - voxels.lower) / voxels.resolution).astype(int)
+    return found[np.all((found >= 0) & (found < voxels.states.shape), axis=1)]
+
+
+def centers(voxels: VoxelMap, which: NDArray[np.bool_]) -> Array:
+    return voxels.lower + (np.argwhere(which) + 0.5) * voxels.resolution
+
+
+def test_where_a_pixel_ends_is_occupied_and_nothing_else_is() -> None:
+    view, voxels = looking((1.2, 0.3, 0.8), (0.0, 0.0, 0.0)), empty_map()
+    ball = Sphere(kind="sphere", name="ball", position=(0.2, 0.1, 0.2), radius=0.15)
+    depth = seen(view, ball, WALL)
+    voxels.integrate(depth, view, NOBODY, 0.0)
+    ends = (view.place + depth[..., None].astype(float) * rays(view))[1:-1, 1:-1].reshape(-1, 3)
+    on_ball = np.abs(np.linalg.norm(ends - ball.position, axis=1) - ball.radius) < 1e-3
+    i, j, k = cells(voxels, ends[on_ball]).T
+    assert (voxels.states[i, j, k] == OCCUPIED).mean() > 0.97, "but for the pixels on its edge"
+    off = rows.distances(centers(voxels, voxels.occupied), rows.primitives([ball, WALL])).min(axis=1)
+    assert off.max() < 0.02 * np.sqrt(3.0) / 2.0 + 1e-3
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_free_was_seen_through_by_every_pixel_on_it(seed: int) -> None:
+    """An oracle of its own: the corners of a voxel, and all pixels between them."""
+    rng, voxels = np.random.default_rng(seed), empty_map()
+    things = [
+        Cuboid(
+            kind="cuboid",
+            name=f"box{k}",
+            position=tuple(rng.uniform(-0.6, 0.6, 3)),
+            size=tuple(rng.uniform(0.02, 0.4, 3)),
+        )
+        for k in range(6)
+    ]
+    view = looking((1.3, rng.uniform(-0.5, 0.5), rng.uniform(0.2, 1.0)), (0.0, 0.0, 0.0))
+    depth = seen(view, *things, WALL)
+    voxels.integrate(depth, view, NOBODY, 0.0)
+    free = centers(voxels, voxels.states == FREE)
+    assert len(free) > 10_000
+    corners = np.array(np.meshgrid(*[(-0.01, 0.01)] * 3)).reshape(3, -1).T
+    local = (free[:, None] + corners - view.place) @ view.turn
+    u = local[..., 0] / local[..., 2] * view.fx + view.cx
+    v = local[..., 1] / local[..., 2] * view.fy + view.cy
+    for n in rng.choice(len(free), 2000, replace=False):
+        left, right = int(np.floor(u[n].min())), int(np.ceil(u[n].max()))
+        top, bottom = int(np.floor(v[n].min())), int(np.ceil(v[n].max()))
+        assert depth[top : bottom + 1, left : right + 1].min() > local[n, :, 2].max()
+
+
+def test_what_has_gone_is_free_again_and_what_is_behind_stays() -> None:
+    view, voxels = looking((1.2, 0.0, 0.2), (0.0, 0.0, 0.2)), empty_map()
+    box = Cuboid(kind="cuboid", name="box", position=(0.0, 0.0, 0.2), size=(0.2, 0.2, 0.2))
+    cover = Cuboid(kind="cuboid", name="cover", position=(0.5, 0.0, 0.2), size=(0.02, 0.5, 0.5))
+    voxels.integrate(seen(view, box, WALL), view, NOBODY, 0.0)
+    front = voxels.cell_of(np.array((0.095, 0.0, 0.2)))
+    assert voxels.states[front] == OCCUPIED
+    voxels.integrate(seen(view, cover, WALL), view, NOBODY, 0.0)
+    assert voxels.states[front] == OCCUPIED, "nobody has seen it go"
+    voxels.integrate(seen(view, WALL), view, NOBODY, 0.0)
+    assert voxels.states[front] == FREE
+    assert not voxels.occupied[voxels.cell_of(np.array((0.51, 0.0, 0.2)))], "the cover has gone too"
+
+
+def test_a_thin_rod_is_there_in_every_image() -> None:
+    """1 cm thick, 1.5 m away, as a camera of 640 pixels sees it: 4 pixels wide."""
+    rod = Cylinder(kind="cylinder", name="rod", position=(0.0, 0.0, 0.0), radius=0.005, length=0.4)
+    heights = np.arange(-0.12, 0.12, 0.02)
+    rng, voxels = np.random.default_rng(0), empty_map()
+    for _ in range(60):
+        eye = (1.5, *rng.uniform(-0.02, 0.02, 2))
+        view = looking(eye, (0.0, *rng.uniform(-0.02, 0.02, 2)), focal=600.0)
+        voxels.integrate(seen(view, rod, WALL), view, NOBODY, 0.0)
+        for height in heights:
+            i, j, k = voxels.cell_of(np.array((0.001, 0.001, height)))
+            around = voxels.occupied[i - 1 : i + 2, j - 1 : j + 2, k]
+            assert around.any(), height
+
+
+def test_the_robot_is_not_in_the_map_and_what_is_near_it_is() -> None:
+    shape = RobotShapes(M1013).at(HOME)
+    hand = M1013.fk_tip(HOME)[:3, 3]
+    near = Sphere(kind="sphere", name="near", position=tuple((hand + (0.0, 0.22, 0.0)).tolist()), radius=0.06)
+    view, voxels = looking((1.6, 0.6, 1.1), (0.3, 0.0, 0.4)), empty_map()
+    depth = image(view, np.concatenate((shape.parts, rows.primitives([near]))))
+    found = voxels.integrate(depth, view, shape, 0.03)
+    assert found.robot > 500
+    on_ball = rows.distances(centers(voxels, voxels.occupied), rows.primitives([near]))[:, 0] < 0.02
+    assert on_ball.all(), "nothing else is occupied"
+    assert on_ball.sum() > 20
+
+
+def test_the_filter_leaves_out_what_is_within_the_padding_and_no_more() -> None:
+    shape = RobotShapes(M1013).at(HOME)
+    view = looking((1.6, 0.6, 1.1), (0.3, 0.0, 0.4))
+    around = shape.parts.copy()
+    around[:, 16] += 0.04  # all surfaces 4 cm further out
+    depth = image(view, around)
+    inside, outside = (empty_map().integrate(depth, view, shape, padding) for padding in (0.045, 0.035))
+    assert inside.robot == inside.valid - np.count_nonzero(np.isinf(depth))
+    assert inside.marking == 0
+    assert outside.robot == 0
+    assert outside.marking > 500
+
+
+@pytest.mark.parametrize("nothing", [0.0, np.nan, 0.05])
+def test_what_is_unknown_changes_nothing(nothing: float) -> None:
+    view, voxels = looking((1.2, 0.0, 0.2), (0.0, 0.0, 0.2)), empty_map()
+    box = Cuboid(kind="cuboid", name="box", position=(0.0, 0.0, 0.2), size=(0.2, 0.2, 0.2))
+    voxels.integrate(seen(view, box, WALL), view, NOBODY, 0.0)
+    before = voxels.states.copy()
+    list(voxels.changes())
+    found = voxels.integrate(np.full((HEIGHT, WIDTH), nothing, np.float32), view, NOBODY, 0.0)
+    assert found.valid == 0
+    np.testing.assert_array_equal(voxels.states, before)
+    assert not list(voxels.changes())
+
+
+def test_pixels_that_fly_between_two_surfaces_mark_nothing() -> None:
+    view, voxels = looking((1.2, 0.0, 0.2), (0.0, 0.0, 0.2)), empty_map()
+    depth = seen(view, WALL)
+    rng = np.random.default_rng(1)
+    flying = rng.random(depth.shape) < 0.02
+    smeared = np.where(flying, depth * rng.uniform(0.3, 0.9, depth.shape), depth).astype(np.float32)
+    voxels.integrate(smeared, view, NOBODY, 0.0)
+    off = rows.distances(centers(voxels, voxels.occupied), rows.primitives([WALL]))[:, 0]
+    assert (off < 0.02).mean() > 0.99
+
+
+def test_what_nobody_has_seen_is_occupied_if_that_is_asked_for() -> None:
+    view, voxels = looking((1.2, 0.0, 0.2), (0.0, 0.0, 0.2)), empty_map(unseen_occupied=True)
+    assert voxels.occupied.all()
+    voxels.integrate(seen(view, WALL), view, NOBODY, 0.0)
+    assert not voxels.occupied[voxels.cell_of(np.array((0.0, 0.0, 0.2)))]
+    assert voxels.occupied[voxels.cell_of(np.array((0.9, 0.9, 0.9)))], "beside the image"
+    voxels.forget()
+    assert voxels.occupied.all()
+
+
+def test_only_blocks_that_change_are_changes() -> None:
+    view, voxels = looking((1.2, 0.0, 0.2), (0.0, 0.0, 0.2)), empty_map()
+    box = Cuboid(kind="cuboid", name="box", position=(0.0, 0.0, 0.2), size=(0.1, 0.1, 0.1))
+    depth = seen(view, box, WALL)
+    voxels.integrate(depth, view, NOBODY, 0.0)
+    occupied = np.zeros(voxels.states.shape, np.bool_)
+    for index, first, block in voxels.changes():
+        begin = np.array(index) * 16
+        np.testing.assert_allclose(first, voxels.lower + (begin + 0.5) * 0.02)
+        occupied[tuple(slice(b, b + n) for b, n in zip(begin, block.shape, strict=True))] = block
+    np.testing.assert_array_equal(occupied, voxels.occupied)
+    voxels.integrate(depth, view, NOBODY, 0.0)
+    assert not list(voxels.changes())
+    assert (voxels.states[voxels.occupied] != UNSEEN).all()
