@@ -19,6 +19,7 @@ from pydantic import BaseModel, TypeAdapter
 import zarm
 from zarm_cli.commands import command_line
 from zarm_contract import messages as every_message
+from zarm_contract.camera import DescribedCamera
 from zarm_contract.collision import CollisionCapsule, CollisionCuboid, CollisionCylinder, CollisionSphere
 from zarm_contract.descriptor import CSpace, ExecutionSettings, RobotDescriptor, StrategyParams, ToolSpeeds
 from zarm_contract.errors import MEANINGS, Problem, ZarmError
