@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from base64 import b64encode
 from collections.abc import Callable
 from types import TracebackType
 from typing import Self
@@ -22,13 +21,14 @@ from zarm_contract.messages import (
     Scene,
     VoxelBlock,
 )
-from zarm_contract.messages.perception import BLOCK, MAX_CAMERAS
+from zarm_contract.messages.perception import MAX_CAMERAS
 from zarm_geometry.gripper_openings import GripperOpenings
 from zarm_geometry.robot_model import RobotModel
+from zarm_perception.blocks import Blocks
 from zarm_perception.cameras import CameraSource, Image
 from zarm_perception.joint_history import JointHistory
 from zarm_perception.robot_shape import RobotShapes
-from zarm_perception.voxel_map import BlockIndex, VoxelMap
+from zarm_perception.voxel_map import VoxelMap
 
 log = logging.getLogger(__name__)
 
@@ -61,7 +61,7 @@ class Mapping:
         self._waiting: dict[str, Image] = {}
         self._scene = Scene(revision="0-000000000000")
         self._shapes: tuple[tuple[object, ...], RobotShapes] | None = None
-        self._published: dict[BlockIndex, str] = {}
+        self._blocks = Blocks(voxels)
         self._lock = threading.Lock()
         self._map_lock = threading.Lock()
         self._news = threading.Event()
@@ -169,16 +169,8 @@ class Mapping:
         return self._shapes[1]
 
     def _publish_changes(self) -> None:
-        for index, first, occupied in self._voxels.changes():
-            full = np.zeros((BLOCK,) * 3, np.bool_)
-            full[tuple(slice(0, n) for n in occupied.shape)] = occupied
-            cells = b64encode(np.packbits(full).tobytes()).decode() if occupied.any() else ""
-            if self._published.get(index, "") == cells:
-                continue
-            self._published[index] = cells
-            x, y, z = first.tolist()
-            block = VoxelBlock(position=(x, y, z), resolution=self._voxels.resolution, cells=cells)
-            self._publish("{}.{}.{}".format(*index), block)
+        for name, block in self._blocks.changed():
+            self._publish(name, block)
 
     def _state(self) -> PerceptionState:
         cameras = tuple(source.state for source in self._sources.values())

@@ -18,6 +18,7 @@ from zarm_perception.kernels.integration import (
     View,
     cleaned,
     clear,
+    filled,
     least_depths,
     mark,
     mask_robot,
@@ -59,6 +60,8 @@ class VoxelMap:
         self._grid = Grid(
             np.full(shape, UNSEEN, np.uint8),
             np.zeros(shape, np.int32),
+            np.zeros(shape, np.int32),
+            np.zeros(shape, np.uint8),
             np.zeros(self._blocks, np.uint8),
             self.lower + resolution / 2.0,
             resolution,
@@ -75,13 +78,16 @@ class VoxelMap:
         mask = np.zeros(depth.shape, np.uint8)
         mask_robot(counted, view, robot.parts, robot.balls, padding, mask)
         marking = mark(self._grid, counted, view, mask, self._images)
-        freed = clear(self._grid, least_depths(counted), view, self._images)
+        through = np.empty_like(counted)
+        filled(counted, through)
+        freed = clear(self._grid, least_depths(through), view, self._images, self.unseen_occupied)
         return Seen(int(np.count_nonzero(counted)), int(mask.sum()), marking, freed)
 
     def forget(self) -> None:
         """Make everything unseen."""
         self._grid.changed[:] = 1
         self._grid.state[:] = UNSEEN
+        self._grid.passed[:] = 0
 
     @property
     def occupied(self) -> Cells:

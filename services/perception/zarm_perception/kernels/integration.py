@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.compiled import kernel
 from zarm_geometry.kernels.convex import core_distance
 
 Array = NDArray[np.float64]
@@ -20,6 +20,8 @@ Mask = NDArray[np.uint8]
 
 UNSEEN, FREE, OCCUPIED = 0, 1, 2
 """States of a voxel."""
+PASSES = 3
+"""So many images in sequence must see through an occupied voxel: at the surface of a thing, noise marks it in one and not in the next."""
 BLOCK = 16
 """Voxels along each edge of a block."""
 
@@ -40,30 +42,36 @@ class View(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """A voxel map: `state` (nx, ny, nz), and the number of the last image that `marked` each voxel (nx, ny, nz). Voxel (0, 0, 0) is
+    """A voxel map: `state` (nx, ny, nz), the number of the last image that `marked` each voxel (nx, ny, nz) and that `touched` it with a pixel, and
+    how many have since `passed` through it. Voxel (0, 0, 0) is
     centred at `origin` (3,), and each is `resolution` (m) wide. `changed` are the blocks in which a state has changed.
     """
 
     state: Mask
     marked: NDArray[np.int32]
+    touched: NDArray[np.int32]
+    passed: Mask
     changed: Mask
     origin: Array
     resolution: float
 
 
-@inlined
-def _is_near(depth: float, other: float) -> bool:
-    return abs(other - depth) <= _STEP * depth
-
-
 _STEP = 0.03
 """The largest step between neighbouring pixels of one surface, as a share of its depth."""
+_FINE = 8
+"""At least so many squares of the least depths lie along a voxel in the image: what is beside it counts less."""
+_COVERED = 8.0
+"""On how many pixels a voxel must appear for two of them to be asked for."""
+_KNOWN = 5
+"""So many neighbours with a depth close a hole."""
+_NEIGHBOURS = 3
+"""Least number of the eight neighbours on the same surface: a line of pixels that a camera smears over an edge has two."""
 
 
 @kernel
 def cleaned(depth: Depth, near: float, far: float, out: Depth) -> None:
-    """Write to `out` the depths (h, w) that count: 0 where a depth is unknown or below `near`, where fewer than two of the four
-    neighbours are on the same surface, which is how edges look that a camera smears; and `far` for what is beyond.
+    """Write to `out` the depths (h, w) that count: 0 where a depth is unknown or below `near`, where too few
+    neighbours are on the same surface, as where a camera smears an edge; and `far` for what is beyond.
     """
     height, width = depth.shape
     for v in range(height):
@@ -76,15 +84,11 @@ def cleaned(depth: Depth, near: float, far: float, out: Depth) -> None:
                 out[v, u] = far
                 continue
             same = 0
-            if u > 0 and _is_near(d, depth[v, u - 1]):
-                same += 1
-            if u < width - 1 and _is_near(d, depth[v, u + 1]):
-                same += 1
-            if v > 0 and _is_near(d, depth[v - 1, u]):
-                same += 1
-            if v < height - 1 and _is_near(d, depth[v + 1, u]):
-                same += 1
-            if same >= 2:
+            for row in range(max(0, v - 1), min(height, v + 2)):
+                for column in range(max(0, u - 1), min(width, u + 2)):
+                    if abs(depth[row, column] - d) <= _STEP * d:
+                        same += 1
+            if same > _NEIGHBOURS:
                 out[v, u] = d
 
 
@@ -137,7 +141,7 @@ def mask_robot(depth: Depth, view: View, parts: Array, balls: Array, padding: fl
 
 @kernel
 def mark(grid: Grid, depth: Depth, view: View, mask: Mask, number: int) -> int:
-    """Mark as occupied the voxels in which a pixel that counts ends, except those of the `mask` (h, w) and those without a
+    """Mark as occupied the voxels in which two pixels that count end, or one of a voxel that appears on few, except those of the `mask` (h, w) and those without a
     surface. Returns how many pixels marked one.
     """
     height, width = depth.shape
@@ -158,11 +162,36 @@ def mark(grid: Grid, depth: Depth, view: View, mask: Mask, number: int) -> int:
             if i < 0 or j < 0 or k < 0 or i >= nx or j >= ny or k >= nz:
                 continue
             count += 1
+            if grid.touched[i, j, k] != number and view.fx * view.fy * size * size >= _COVERED * d * d:
+                grid.touched[i, j, k] = number  # a second pixel must end here: a single one may be noise
+                continue
             grid.marked[i, j, k] = number
+            grid.passed[i, j, k] = 0
             if grid.state[i, j, k] != OCCUPIED:
                 grid.state[i, j, k] = OCCUPIED
                 grid.changed[i // BLOCK, j // BLOCK, k // BLOCK] = 1
     return count
+
+
+@kernel
+def filled(depth: Depth, out: Depth) -> None:
+    """Write to `out` the depths (h, w) with single holes closed: a pixel without a depth, most of whose neighbours have one, gets
+    the least of these.
+    """
+    height, width = depth.shape
+    for v in range(height):
+        for u in range(width):
+            out[v, u] = depth[v, u]
+            if depth[v, u] != 0.0:
+                continue
+            known, least = 0, np.float32(np.inf)
+            for row in range(max(0, v - 1), min(height, v + 2)):
+                for column in range(max(0, u - 1), min(width, u + 2)):
+                    if depth[row, column] != 0.0:
+                        known += 1
+                        least = min(least, depth[row, column])
+            if known >= _KNOWN:
+                out[v, u] = least
 
 
 @kernel
@@ -194,9 +223,9 @@ def least_depths(depth: Depth) -> Depth:
 
 
 @kernel
-def clear(grid: Grid, least: Depth, view: View, number: int) -> int:
-    """Free the voxels through all of which the camera sees, except those that image `number` marked. `least` as `least_depths`
-    has it. Returns how many occupied ones it freed.
+def clear(grid: Grid, least: Depth, view: View, number: int, unseen: bool) -> int:
+    """Free the occupied voxels through all of which the camera has seen PASSES times, except those that image `number` marked, and those that are
+    `unseen` if these matter. `least` as `least_depths` has it. Returns how many occupied ones it freed.
 
     A voxel is seen through if every pixel on which it can appear is deeper than all of it; so what is beside it in the
     image keeps it, and never the other way around.
@@ -204,7 +233,10 @@ def clear(grid: Grid, least: Depth, view: View, number: int) -> int:
     nx, ny, nz = grid.state.shape
     levels, height, width = least.shape
     turn, place, size = view.turn, view.place, grid.resolution
-    reach = 0.5 * math.sqrt(3.0) * size
+    # How far a voxel reaches along the axes of the camera.
+    right_of = 0.5 * size * (abs(turn[0, 0]) + abs(turn[1, 0]) + abs(turn[2, 0]))
+    below = 0.5 * size * (abs(turn[0, 1]) + abs(turn[1, 1]) + abs(turn[2, 1]))
+    behind = 0.5 * size * (abs(turn[0, 2]) + abs(turn[1, 2]) + abs(turn[2, 2]))
     freed = 0
     for i in range(nx):
         x = grid.origin[0] + i * size - place[0]
@@ -212,33 +244,40 @@ def clear(grid: Grid, least: Depth, view: View, number: int) -> int:
             y = grid.origin[1] + j * size - place[1]
             for k in range(nz):
                 state = grid.state[i, j, k]
-                if state == FREE or (state == OCCUPIED and grid.marked[i, j, k] == number):
+                if (
+                    state == FREE
+                    or (state == UNSEEN and not unseen)
+                    or (state == OCCUPIED and grid.marked[i, j, k] == number)
+                ):
                     continue
                 z = grid.origin[2] + k * size - place[2]
                 c = turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z
-                if c - reach < view.near or c + reach >= view.far:
+                if c - behind < view.near or c + behind >= view.far:
                     continue
                 a = (turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z) / c
                 b = (turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z) / c
                 u, v = view.cx + view.fx * a, view.cy + view.fy * b
-                away = reach / (c - reach)
-                wide, high = view.fx * away * (1.0 + abs(a)), view.fy * away * (1.0 + abs(b))
+                wide = view.fx * (right_of + abs(a) * behind) / (c - behind)
+                high = view.fy * (below + abs(b) * behind) / (c - behind)
                 left, right = math.floor(u - wide), math.ceil(u + wide)
                 top, bottom = math.floor(v - high), math.ceil(v + high)
                 if left < 0 or top < 0 or right >= width or bottom >= height:
                     continue
                 level = 0
-                while level < levels - 1 and (2 << level) <= min(right - left, bottom - top):
+                while level < levels - 1 and (_FINE << level) <= min(right - left, bottom - top):
                     level += 1
                 deeper = True
                 for row in range(top >> level, (bottom >> level) + 1):
                     for column in range(left >> level, (right >> level) + 1):
-                        if least[level, row, column] <= c + reach:
+                        if least[level, row, column] <= c + behind:
                             deeper = False
                             break
                     if not deeper:
                         break
                 if deeper:
+                    if state == OCCUPIED and grid.passed[i, j, k] < PASSES - 1:
+                        grid.passed[i, j, k] += 1
+                        continue
                     grid.state[i, j, k] = FREE
                     grid.changed[i // BLOCK, j // BLOCK, k // BLOCK] = 1
                     if state == OCCUPIED:
