@@ -49,6 +49,7 @@ _CAMERA = m.Camera(
     near=0.2,
     far=3.0,
     rate=15.0,
+    topic="/camera/depth/image_rect_raw",
 )
 _TOOL_MOTION = m.ToolMotion(length=0.4, speed=0.1, rotational_speed=0.7, speed_share=0.875)
 _TOO_NEAR = m.TooNear(pair=("link_3", "table"), distance=0.002, margin=0.03, time=0.75)

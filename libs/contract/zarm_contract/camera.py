@@ -38,6 +38,8 @@ class DescribedCamera(Section):
     """Greatest depth that counts (m)."""
     rate: Annotated[float, Field(gt=0, le=60)] = 10.0
     """Images in a second."""
+    topic: Annotated[str, Field(min_length=1, max_length=255)] | None = None
+    """ROS topic with its depth images, of type `sensor_msgs/msg/Image`, which the bridge takes. Left out: images come on Zenoh."""
 
     def message(self, name: str) -> Camera:
         """The camera of this name."""

@@ -10,6 +10,7 @@ from zarm_contract.errors import InvalidRequest
 from zarm_ros_bridge.action_servers import ActionServers
 from zarm_ros_bridge.additions import Additions
 from zarm_ros_bridge.availability import Availability
+from zarm_ros_bridge.cameras import CameraTopics
 from zarm_ros_bridge.convert.colours import Colour
 from zarm_ros_bridge.diagnostics import Diagnostics
 from zarm_ros_bridge.drivers import Drivers
@@ -80,6 +81,7 @@ def start(service: Service) -> Iterator[None]:
         if params is not None:
             Drivers(ros, controller, engine, params)
         WorldFile(engine, parameters)
+        CameraTopics(ros, engine)
         additions = isinstance(generation, GenerationC)
         topics = Topics(ros, engine, grippers, colours, obstacles=("~/obstacles", "~/scene_obstacles")[: 1 + additions])
         if additions:

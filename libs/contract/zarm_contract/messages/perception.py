@@ -24,7 +24,7 @@ class Camera(ShortMessage):
     the joints move or not, by default the base.
 
     Images are `width` by `height` pixels, with focal lengths `fx`, `fy` and the principal point `cx`, `cy` in pixels, free of distortion. Depths
-    below `near` or beyond `far` (m) do not count; `rate` is how many images come in a second.
+    below `near` or beyond `far` (m) do not count; `rate` is how many images come in a second. From a `topic` of ROS, of type `sensor_msgs/msg/Image`, the bridge takes them.
     """
 
     name: CameraName
@@ -40,6 +40,7 @@ class Camera(ShortMessage):
     near: Positive = 0.15
     far: Positive = 4.0
     rate: Annotated[float, Field(gt=0, le=60)] = 10.0
+    topic: Annotated[str, Field(min_length=1, max_length=255)] | None = None
 
 
 class Cameras(Message):

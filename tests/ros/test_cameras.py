@@ -1,0 +1,101 @@
+"""Depth images of a ROS camera become voxels, whenever the camera is declared."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import Image
+
+import zarm
+from support.harness import ServiceProcess, eventually, router
+from zarm_contract.keys import Keys
+from zarm_contract.messages import Camera, JointState
+from zarm_contract.robot import load_robot
+from zarm_geometry.voxel_blocks import VoxelBlocks
+from zarm_ros_bridge.convert.times import ros_time
+from zarm_runtime.bus import Bus
+
+M1013 = load_robot("doosan_m1013")
+KEYS = Keys("doosan_m1013")
+TOPIC = "/camera/depth/image_rect_raw"
+DOWN = (1.0, 0.0, 0.0, 0.0)
+
+
+def camera(topic: str | None = TOPIC) -> Camera:
+    """1 m above a point beside the robot, looking down."""
+    return Camera(
+        name="front", position=(0.7, 0.7, 1.0), orientation=DOWN, topic=topic,
+        width=64, height=48, fx=100.0, fy=100.0, cx=31.5, cy=23.5,
+    )  # fmt: skip
+
+
+class Lab:
+    """A bridge and a perception, and a robot that stands."""
+
+    def __init__(self, stack: ExitStack, folder: Path) -> None:
+        endpoint = stack.enter_context(router())
+        self.bus = stack.enter_context(Bus(endpoint))
+        for service in ("perception", "ros_bridge"):
+            stack.enter_context(ServiceProcess(service, endpoint, folder)).wait_ready(self.bus, KEYS)
+        self.blocks = VoxelBlocks()
+        self.bus.watch(KEYS.voxels("*"), self.blocks.receive)
+        self.joints = self.bus.publisher(KEYS.joint_states)
+        self.robot = stack.enter_context(zarm.connect(endpoint))
+
+    def stand(self) -> None:
+        home = M1013.descriptor.home
+        state = JointState(stamp=time.time(), joint_names=M1013.descriptor.joints, position=home, velocity=(0.0,) * 6)
+        self.joints.put(state)
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Iterator[Lab]:
+    with ExitStack() as stack:
+        yield Lab(stack, tmp_path)
+
+
+def flat(depth: float, encoding: str, *, big: bool = False, padding: int = 0) -> Image:
+    kind = np.dtype("f4" if encoding == "32FC1" else "u2").newbyteorder(">" if big else "<")
+    value = depth if encoding == "32FC1" else 1000.0 * depth
+    rows = np.full((48, 64), value, kind).view(np.uint8).reshape(48, -1)
+    data = np.pad(rows, ((0, 0), (0, padding)))
+    image = Image(width=64, height=48, encoding=encoding, is_bigendian=big, step=data.shape[1], data=data.tobytes())
+    image.header.stamp = ros_time(time.time())
+    return image
+
+
+@pytest.mark.parametrize(("encoding", "big", "padding"), [("16UC1", False, 0), ("16UC1", True, 4), ("32FC1", False, 8)])
+def test_images_of_a_ros_topic_become_voxels(encoding: str, big: bool, padding: int, lab: Lab, node: Node) -> None:
+    publisher = node.create_publisher(Image, TOPIC, qos_profile_sensor_data)
+    lab.robot.perception.add(camera())
+
+    def seen() -> bool:
+        lab.stand()
+        publisher.publish(flat(0.8, encoding, big=big, padding=padding))
+        return sum(len(one.cells) for one in lab.blocks.objects.values()) > 400
+
+    eventually(seen, "the camera sees half a metre by forty centimetres")
+    points = np.concatenate(
+        [np.array(one.cells) * one.resolution + one.position for one in lab.blocks.objects.values()]
+    )
+    np.testing.assert_allclose(points[:, 2], 0.2, atol=0.011)
+    np.testing.assert_allclose(points.mean(axis=0)[:2], 0.7, atol=0.02)
+
+
+def test_a_camera_that_is_removed_is_listened_to_no_more(lab: Lab, node: Node) -> None:
+    publisher = node.create_publisher(Image, TOPIC, qos_profile_sensor_data)
+    lab.robot.perception.add(camera())
+    eventually(lambda: publisher.get_subscription_count() == 1, "the bridge listens")
+    lab.robot.perception.add(camera(topic="/another"))
+    eventually(lambda: publisher.get_subscription_count() == 0, "the camera has another topic now")
+    lab.robot.perception.add(camera())
+    eventually(lambda: publisher.get_subscription_count() == 1, "the bridge listens again")
+    lab.robot.perception.remove("front")
+    eventually(lambda: publisher.get_subscription_count() == 0, "there is no camera")
