@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ from support.trajectories import HOME, KEYS, ROBOT, moved, plan, rest_to_rest, r
 from zarm_contract import messages as m
 from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest, Problem
+from zarm_contract.image import encode_image
 from zarm_contract.messages import Message
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
@@ -35,6 +37,7 @@ pytestmark = pytest.mark.slow
 COUNT = int(os.environ.get("ZARM_FUZZ", "2000"))
 SEED = 1
 CLIENTS = 16
+SMALL = {"width": 64, "height": 48, "fx": 100.0, "fy": 100.0, "cx": 31.5, "cy": 23.5}
 JOINTS = ROBOT.descriptor.joints
 ASIDE = rest_to_rest(moved(*[1.0] * 6), moved(*[0.5] * 6), dt=0.2)
 """A motion that the robot could make, but from half a radian beside where it stands: whatever it is turned into, the robot
@@ -119,6 +122,22 @@ PLANNER = (
         "publication",
         (m.JointState(stamp=1.75e9, joint_names=JOINTS, position=tuple(HOME), velocity=(0.0,) * 6),),
     ),
+)
+
+PERCEPTION = (
+    Ear(KEYS.cameras, m.CameraChange),
+    Ear(KEYS.perception_clear, m.Nothing),
+    Ear(KEYS.health("perception"), m.Nothing),
+    Ear(KEYS.perception_state, m.Nothing, "latched"),
+    Ear(KEYS.depth("wrist"), m.ImageHeader, "publication"),
+    Ear(KEYS.depth("nobody"), m.ImageHeader, "publication"),
+    Ear(
+        KEYS.joint_states,
+        m.JointState,
+        "publication",
+        (m.JointState(stamp=1.75e9, joint_names=JOINTS, position=tuple(HOME), velocity=(0.0,) * 6),),
+    ),
+    Ear(KEYS.scene, m.Scene, "publication"),
 )
 
 
@@ -275,3 +294,27 @@ def test_the_planner_takes_any_payload_and_plans_afterwards(bus: Bus, endpoint: 
         assert bus.call(KEYS.scene_edit, empty, timeout=PATIENCE).count == 0
         made = bus.call(KEYS.plan, FREE.model_copy(update={"timeout": 10.0}), timeout=PATIENCE)
         np.testing.assert_allclose(made.trajectory.position[-1], moved(0.3), atol=1e-6)
+
+
+@pytest.mark.timeout(120 + COUNT / 20)
+def test_the_perception_takes_any_payload_and_sees_afterwards(bus: Bus, endpoint: str, tmp_path: Path) -> None:
+    with ServiceProcess("perception", endpoint, tmp_path) as perception:
+        perception.wait_ready(bus, KEYS)
+        assert shout(PERCEPTION, endpoint, Sizes(perception)) > 0.8 * COUNT
+        health = bus.call(KEYS.health("perception"), m.Nothing(), timeout=PATIENCE)
+        assert health.pid == perception.process.pid
+        front = m.Camera(name="front", position=(0.7, 0.7, 1.0), orientation=(1.0, 0.0, 0.0, 0.0), **SMALL)
+        cameras = bus.call(KEYS.cameras, m.CameraChange(), timeout=PATIENCE).cameras
+        for camera in cameras:
+            bus.call(KEYS.cameras, m.CameraChange(remove=camera.name), timeout=PATIENCE)
+        assert bus.call(KEYS.cameras, m.CameraChange(add=front), timeout=PATIENCE).cameras == (front,)
+        joints, images = bus.publisher(KEYS.joint_states), bus.publisher(KEYS.depth("front"))
+
+        def sees() -> bool:
+            now = time.time()
+            joints.put(m.JointState(stamp=now, joint_names=JOINTS, position=tuple(HOME), velocity=(0.0,) * 6))
+            header = m.ImageHeader(stamp=now, width=64, height=48, encoding="16UC1")
+            images.put_encoded(encode_image(header, np.full((48, 64), 800, "<u2").tobytes()))
+            return bus.read(KEYS.perception_state, timeout=PATIENCE).occupied > 0
+
+        eventually(sees, "it sees")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from bisect import bisect_left
 from collections import deque
 
@@ -15,6 +16,8 @@ Array = NDArray[np.float64]
 
 _KEPT = 2000
 """Joint states that are kept: some seconds."""
+_AHEAD = 1.0
+"""A joint state that is stamped later (s) than this from now is not of this robot's clock."""
 _GAP = 0.15
 """Longest time (s) between a moment and the nearest joint state."""
 
@@ -30,7 +33,7 @@ class JointHistory:
 
     def receive(self, _key: str, state: JointState) -> None:
         """Take what the robot has measured."""
-        if not {*self._joints} <= {*state.joint_names}:
+        if not {*self._joints} <= {*state.joint_names} or state.stamp > time.time() + _AHEAD:
             return
         order = [state.joint_names.index(name) for name in self._joints]
         with self._lock:

@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from zarm_contract.errors import InvalidRequest
+from zarm_contract.errors import InvalidRequest, ZarmError
 from zarm_contract.messages import (
     Camera,
     CameraChange,
@@ -59,6 +59,7 @@ class Mapping:
         self._publish, self._report = publish, report
         self._sources: dict[str, CameraSource] = {}
         self._waiting: dict[str, Image] = {}
+        self._unknown: set[str] = set()
         self._scene = Scene(revision="0-000000000000")
         self._shapes: tuple[tuple[object, ...], RobotShapes] | None = None
         self._blocks = Blocks(voxels)
@@ -113,7 +114,9 @@ class Mapping:
         name = key.rpartition("/")[2]
         source = self._sources.get(name)
         if source is None:
-            log.warning("dropped an image camera=%s reason=no_such_camera", name)
+            if name not in self._unknown and len(self._unknown) < MAX_CAMERAS:
+                self._unknown.add(name)
+                log.warning("images are dropped camera=%s reason=no_such_camera", name)
             return
         try:
             image = source.read(payload)
@@ -153,9 +156,14 @@ class Mapping:
         if joints is None:
             source.refused("the joints at the time of its image are unknown: are the clocks the same?")
             return
+        try:
+            robot = self._robot().at(joints)
+        except ZarmError as error:  # it carries something where it has no link
+            source.refused(f"the robot cannot be left out: {error}")
+            return
         begun = time.perf_counter()
         with self._map_lock:
-            seen = self._voxels.integrate(image.depth, source.view(joints), self._robot().at(joints), self._padding)
+            seen = self._voxels.integrate(image.depth, source.view(joints), robot, self._padding)
             self._publish_changes()
         pixels = image.depth.size
         source.taken(seen.valid / pixels, seen.robot / pixels, time.perf_counter() - begun)
