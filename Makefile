@@ -43,7 +43,7 @@ COMPOSE = $(if $(shell docker compose version 2>/dev/null),docker compose,docker
 
 test-deploy: export ZARM_TAG = test
 test-deploy: $(VENV)/.dev
-	@bash -c 'time $(COMPOSE) --project-directory deploy -f deploy/compose.yaml --profile sim build'
+	@bash -c 'time $(COMPOSE) --project-directory deploy -f deploy/compose.yaml --profile sim --profile perception build'
 	@docker image ls --filter reference='zarm-*:test'
 	@$(BIN)/pytest tests/deploy
 

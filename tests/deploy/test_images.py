@@ -16,6 +16,7 @@ OWN = {
     "executor": set(),
     "planner": {"numba", "fcl"},
     "servo": {"numba", "fcl"},
+    "perception": {"numba", "fcl"},
     "ros_bridge": {"rclpy", "curobo_msgs"},
     "leeloo_sim": {"rclpy", "curobo_msgs"},
 }
