@@ -71,6 +71,8 @@ class Picture:
                 self._ghost.hide()
         if news.scene is not None:
             self.scene.draw(news.scene)
+        if news.voxels is not None:
+            self.scene.draw_voxels(news.voxels)
         if news.plan is not None:
             self._draw_path(news.plan.trajectory)
         elif news.trajectory is not None:

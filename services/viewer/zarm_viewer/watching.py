@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -24,8 +25,13 @@ from zarm_contract.messages import (
     Scene,
     ServoState,
     Strategies,
+    Voxels,
 )
+from zarm_geometry.voxel_blocks import VoxelBlocks
 from zarm_viewer.kinematics import Array
+
+_MAP_PERIOD = 0.5
+"""Least time (s) between two drawings of the voxel map."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +49,7 @@ class News:
     strategies: Strategies | None = None
     servo: ServoState | None = None
     scene: Scene | None = None
+    voxels: Mapping[str, Voxels] | None = None
     plan: Plan | None = None
     planners: Planners | None = None
     trajectory: GoalTrajectory | None = None
@@ -68,6 +75,8 @@ class Watching:
         self._joints = bus.latest(keys.joint_states)
         self._preview = bus.latest(keys.preview_joint_states)
         self._taken: dict[str, float] = {}
+        self._voxels = VoxelBlocks()
+        self._shown: tuple[Mapping[str, Voxels], float] = self._voxels.objects, -math.inf
         watched: dict[str, Latched[Any]] = {
             "state": keys.executor_state,
             "servo": keys.servo_state,
@@ -79,6 +88,7 @@ class Watching:
         }
         for name, key in watched.items():
             bus.watch(key, self._put(name))
+        bus.watch(keys.voxels("*"), self._voxels.receive)
         bus.watch(keys.goal("*"), self._put_goal)
         bus.watch(keys.gripper_state("*"), self._put_gripper)
 
@@ -99,12 +109,21 @@ class Watching:
             goals=goals,
             grippers=grippers,
             tracking_error=None if tracked is None else tracking_error(*tracked, joint_names),
+            voxels=self._new_voxels(time.monotonic()),
             **newest,
         )
 
     def age(self) -> float | None:
         """The age (s) of the newest joint state, None if none has come."""
         return time.monotonic() - self._taken["joints"] if "joints" in self._taken else None
+
+    def _new_voxels(self, now: float) -> Mapping[str, Voxels] | None:
+        """The voxel map by block, if it has changed and was not drawn just now."""
+        blocks, (shown, at) = self._voxels.objects, self._shown
+        if blocks is shown or now - at < _MAP_PERIOD:
+            return None
+        self._shown = blocks, now
+        return blocks
 
     def _new_joints(
         self, name: str, received: tuple[JointState, float] | None, joint_names: tuple[str, ...]

@@ -6,6 +6,7 @@ import io
 import os
 import re
 import signal
+from base64 import b64encode
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -30,7 +31,7 @@ from support.viewer import (
     free_port,
     opened,
 )
-from zarm_contract.messages import Plan, Planners
+from zarm_contract.messages import Plan, Planners, VoxelBlock
 from zarm_contract.robot import load_robot
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.kinematics import Chain
@@ -401,6 +402,15 @@ def test_an_object_added_on_one_page_is_on_the_bus_and_on_the_other_page(page: P
     expect(second.locator("input[value='box']").first).to_be_visible()
     page.get_by_role("button", name="Remove").click()
     eventually(lambda: not cell.robot.scene.objects(), "it is gone")
+
+
+def test_what_cameras_see_is_drawn_and_goes_with_it(page: Page, cell: Cell) -> None:
+    blocks, key = cell.bus.latched(KEYS.voxels("*")), KEYS.voxels("3.2.1")
+    corner = VoxelBlock(position=(-0.6, 0.7, 0.2), resolution=0.02, cells=b64encode(bytes(511) + b"\xff").decode())
+    blocks.set(corner, key=key)
+    eventually(lambda: drawn(page, "map/map.3.2.1"), "the block is drawn")
+    blocks.set(corner.model_copy(update={"cells": ""}), key=key)
+    eventually(lambda: not drawn(page, "map/map.3.2.1"), "the block has gone")
 
 
 def test_on_a_phone_the_stop_is_in_reach_wherever_the_page_is_scrolled_to(page: Page, second: Page) -> None:
