@@ -169,11 +169,14 @@ class Mapping:
         source.taken(seen.valid / pixels, seen.robot / pixels, time.perf_counter() - begun)
 
     def _robot(self) -> RobotShapes:
-        """The robot with what it carries, and its grippers as they are."""
+        """The robot with what it carries, its grippers as they are, and what it may grip."""
         scene, openings = self._scene, self._grippers.present()
-        key = (scene.carried, openings)
+        key = (scene.revision, openings)
         if self._shapes is None or self._shapes[0] != key:
-            self._shapes = key, RobotShapes(self._model.with_attached(scene.carried, (), openings))
+            model = self._model.with_attached(scene.carried, (), openings)
+            self._shapes = key, RobotShapes(model, scene.objects)
+            with self._map_lock:
+                self._voxels.take_out(self._shapes[1].things, self._padding)
         return self._shapes[1]
 
     def _publish_changes(self) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_geometry import rows
 from zarm_perception.kernels.integration import (
     BLOCK,
     FREE,
@@ -29,9 +31,8 @@ Cells = NDArray[np.bool_]
 BlockIndex = tuple[int, int, int]
 
 
-@dataclass(frozen=True)
-class RobotShape:
-    """The robot at some joints: convex `parts` (m, 17), see `zarm_geometry.rows`, each inside one of `balls` (m, 4)."""
+class RobotShape(NamedTuple):
+    """The robot at some joints, and what else is left out: convex `parts` (m, 17), see `zarm_geometry.rows`, each inside one of `balls` (m, 4)."""
 
     parts: Array
     balls: Array
@@ -82,6 +83,20 @@ class VoxelMap:
         filled(counted, through)
         freed = clear(self._grid, least_depths(through), view, self._images, self.unseen_occupied)
         return Seen(int(np.count_nonzero(counted)), int(mask.sum()), marking, freed)
+
+    def take_out(self, shape: RobotShape, padding: float) -> None:
+        """Free what is within `padding` (m) of a shape: it was seen before that was known."""
+        grid, most = self._grid, padding + self.resolution / 2.0
+        for part, ball in zip(shape.parts, shape.balls, strict=True):
+            reach = ball[3] + most
+            low = np.maximum(0, np.floor((ball[:3] - reach - self.lower) / self.resolution)).astype(int)
+            high = np.maximum(0, np.ceil((ball[:3] + reach - self.lower) / self.resolution)).astype(int)
+            box = grid.state[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+            there = np.argwhere(box == OCCUPIED)
+            points = grid.origin + (low + there) * self.resolution
+            gone = there[rows.distances(points, part[None])[:, 0] <= most]
+            box[tuple(gone.T)] = FREE
+            grid.changed[tuple(((low + gone) // BLOCK).T)] = 1
 
     def forget(self) -> None:
         """Make everything unseen."""

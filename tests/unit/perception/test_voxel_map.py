@@ -170,6 +170,25 @@ def test_the_filter_leaves_out_what_is_within_the_padding_and_no_more() -> None:
     assert outside.marking > 500
 
 
+def test_what_the_robot_may_grip_is_in_the_scene_and_not_in_the_map_too() -> None:
+    cup = Cylinder(kind="cylinder", name="cup", position=(0.5, 0.3, 0.3), radius=0.04, length=0.1)
+    shelf = Cuboid(kind="cuboid", name="shelf", position=(0.5, 0.3, 0.1), size=(0.6, 0.6, 0.3))
+    view, voxels = looking((1.6, 0.6, 1.1), (0.5, 0.3, 0.3)), empty_map()
+    robot = RobotShapes(M1013, [cup, shelf])
+    depth = seen(view, cup, shelf)
+    voxels.integrate(depth, view, RobotShapes(M1013).at(HOME), 0.02)
+    top = voxels.cell_of(np.array((0.5, 0.3, 0.345)))
+    assert voxels.states[top] == OCCUPIED, "nobody has said what it is"
+    voxels.take_out(robot.things, 0.02)
+    assert voxels.states[top] == FREE
+    list(voxels.changes())
+    voxels.integrate(depth, view, robot.at(HOME), 0.02)
+    off = rows.distances(centers(voxels, voxels.occupied), rows.primitives([shelf, cup]))
+    assert (off[:, 0] < 0.02).all()
+    assert len(off) > 100
+    assert off[:, 1].min() > 0.0
+
+
 @pytest.mark.parametrize("nothing", [0.0, np.nan, 0.05])
 def test_what_is_unknown_changes_nothing(nothing: float) -> None:
     view, voxels = looking((1.2, 0.0, 0.2), (0.0, 0.0, 0.2)), empty_map()
