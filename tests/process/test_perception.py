@@ -62,6 +62,8 @@ class Cell:
         self.bus = stack.enter_context(Bus(self.endpoint))
         self.keys = Keys("ur5e")
         self.blocks = VoxelBlocks()
+        self.stack, self.folder = stack, folder
+        self.processes: dict[str, ServiceProcess] = {}
         started = {
             "physics_sim": ("--drives", "ideal"),
             "perception": (),
@@ -70,12 +72,15 @@ class Cell:
             "executor": ("--strategy", "joint_trajectory"),
         }
         for service, arguments in started.items():
-            process = ServiceProcess(service, self.endpoint, folder, "ur5e", arguments=arguments)
-            stack.enter_context(process).wait_ready(self.bus, self.keys)
-            if service == "physics_sim":
-                self.simulator = process
+            self.processes[service] = self.begin(service, *arguments)
         self.bus.watch(self.keys.voxels("*"), self.blocks.receive)
         self.robot = stack.enter_context(zarm.connect(self.endpoint))
+
+    def begin(self, service: str, *arguments: str) -> ServiceProcess:
+        """Start a service, and wait until it is ready."""
+        process = ServiceProcess(service, self.endpoint, self.folder, "ur5e", arguments=arguments)
+        self.stack.enter_context(process).wait_ready(self.bus, self.keys)
+        return process
 
     def world(self, *things: Cuboid) -> None:
         """What there is; the scene stays empty."""
@@ -154,7 +159,7 @@ def test_a_camera_that_does_not_see_is_said_and_the_map_stays(tmp_path: Path) ->
         cell.look(FRONT)
         before = len(cell.points)
         assert before > 100
-        cell.simulator.kill()
+        cell.processes["physics_sim"].kill()
         stale = cell.robot.perception.state
         eventually(lambda: "no image for" in stale().cameras[0].problem, "it is said that the camera does not see")
         assert stale().stale
@@ -168,6 +173,23 @@ def test_a_camera_that_does_not_see_is_said_and_the_map_stays(tmp_path: Path) ->
         cell.robot.perception.remove("front")
         cell.robot.perception.clear()
         eventually(lambda: len(cell.points) == 0, "the map is empty")
+
+
+def test_a_perception_that_begins_again_frees_what_has_gone_meanwhile(tmp_path: Path) -> None:
+    with cell_of(tmp_path) as cell:
+        cell.world(FLOOR, POST)
+        cell.look(FRONT)
+
+        def at_the_post() -> int:
+            return int((rows.distances(cell.points, rows.primitives([POST]))[:, 0] < 0.02).sum())
+
+        assert at_the_post() > 50
+        cell.processes["perception"].kill()
+        cell.world(FLOOR)
+        cell.begin("perception")
+        assert at_the_post() > 50, "it has seen nothing yet, and what was seen stays"
+        cell.robot.perception.add(FRONT)
+        eventually(lambda: at_the_post() == 0, "the camera sees that it has gone")
 
 
 def test_a_camera_on_the_wrist_sees_the_same_world_from_everywhere(tmp_path: Path) -> None:

@@ -13,7 +13,9 @@ from zarm_perception.voxel_map import VoxelMap
 
 
 class Blocks:
-    """The blocks of a map that differ from what they were when they were last asked for."""
+    """The blocks of a map that differ from what they were when they were last asked for; at first all, free ones too: an earlier
+    map may have had something there.
+    """
 
     def __init__(self, voxels: VoxelMap) -> None:
         self._voxels = voxels
@@ -26,7 +28,7 @@ class Blocks:
             full[tuple(slice(0, n) for n in occupied.shape)] = occupied
             cells = b64encode(np.packbits(full).tobytes()).decode() if occupied.any() else ""
             name = "{}.{}.{}".format(*index)
-            if self._last.get(name, "") != cells:
+            if self._last.get(name) != cells:
                 self._last[name] = cells
                 x, y, z = first.tolist()
                 yield name, VoxelBlock(position=(x, y, z), resolution=self._voxels.resolution, cells=cells)

@@ -63,13 +63,11 @@ class VoxelMap:
             np.zeros(shape, np.int32),
             np.zeros(shape, np.int32),
             np.zeros(shape, np.uint8),
-            np.zeros(self._blocks, np.uint8),
+            np.ones(self._blocks, np.uint8),
             self.lower + resolution / 2.0,
             resolution,
         )
         self._images = 0
-        if unseen_occupied:
-            self._grid.changed[:] = 1
 
     def integrate(self, depth: Depth, view: View, robot: RobotShape, padding: float) -> Seen:
         """Take an image (h, w), without what is within `padding` (m) of the robot."""
@@ -116,7 +114,7 @@ class VoxelMap:
         return self._grid.state
 
     def changes(self) -> Iterator[tuple[BlockIndex, Array, Cells]]:
-        """The blocks that have changed since the last call: index, centre of the first voxel (3,), and which voxels
+        """The blocks that have changed since the last call, at first all: index, centre of the first voxel (3,), and which voxels
         (up to 16, 16, 16) are occupied.
         """
         occupied = self.occupied

@@ -10,6 +10,7 @@ from zarm_contract.messages import Cuboid, Cylinder, Primitive, Sphere
 from zarm_contract.robot import load_robot
 from zarm_geometry import rows
 from zarm_geometry.robot_model import RobotModel
+from zarm_perception.blocks import Blocks
 from zarm_perception.kernels.integration import FREE, OCCUPIED, PASSES, UNSEEN, View
 from zarm_perception.robot_shape import RobotShapes
 from zarm_perception.voxel_map import RobotShape, VoxelMap
@@ -221,6 +222,20 @@ def test_what_nobody_has_seen_is_occupied_if_that_is_asked_for() -> None:
     assert voxels.occupied[voxels.cell_of(np.array((0.9, 0.9, 0.9)))], "beside the image"
     voxels.forget()
     assert voxels.occupied.all()
+
+
+def test_a_map_begins_with_all_of_its_blocks_and_goes_on_with_those_that_change() -> None:
+    """One that begins again must free what it had seen before."""
+    view, voxels = looking((1.2, 0.0, 0.2), (0.0, 0.0, 0.2)), empty_map()
+    blocks, depth = Blocks(voxels), seen(view, WALL)
+    voxels.integrate(depth, view, NOBODY, 0.0)
+    first = dict(blocks.changed())
+    assert len(first) == 7**3
+    assert 0 < sum(bool(block.cells) for block in first.values()) < 60
+    voxels.integrate(depth, view, NOBODY, 0.0)
+    assert not dict(blocks.changed())
+    voxels.forget()
+    assert {*dict(blocks.changed())} == {name for name, block in first.items() if block.cells}
 
 
 def test_only_blocks_that_change_are_changes() -> None:
