@@ -116,6 +116,14 @@ def cell_of(folder: Path) -> Iterator[Cell]:
         yield Cell(stack, folder)
 
 
+def planned(cell: Cell) -> bool:
+    """Whether a motion is planned."""
+    try:
+        return bool(cell.robot.plan(BACK, start=THERE))
+    except zarm.Unavailable:
+        return False
+
+
 def test_what_cameras_see_is_avoided_and_the_robot_is_not_in_its_own_way(tmp_path: Path) -> None:
     with cell_of(tmp_path) as cell:
         cell.world(FLOOR, POST)
@@ -164,6 +172,8 @@ def test_a_camera_that_does_not_see_is_said_and_the_map_stays(tmp_path: Path) ->
         eventually(lambda: "no image for" in stale().cameras[0].problem, "it is said that the camera does not see")
         assert stale().stale
         assert len(cell.points) > 0.9 * before
+        with pytest.raises(zarm.Unavailable, match="the voxel map is stale: front: no image for"):
+            cell.robot.plan(BACK, start=THERE)
         cell.robot.perception.publish("front", time.time() + 0.5, bytes(2 * 320 * 240), width=320, height=240)
         eventually(lambda: "in the future" in stale().cameras[0].problem, "the clock is wrong")
         with pytest.raises(zarm.InvalidRequest, match="there is no camera middle; there are"):
@@ -173,6 +183,10 @@ def test_a_camera_that_does_not_see_is_said_and_the_map_stays(tmp_path: Path) ->
         cell.robot.perception.remove("front")
         cell.robot.perception.clear()
         eventually(lambda: len(cell.points) == 0, "the map is empty")
+        eventually(lambda: not stale().stale, "nobody misses a camera")
+        eventually(lambda: planned(cell), "it plans again")
+        cell.processes["perception"].kill()
+        eventually(lambda: not planned(cell), "the perception has gone")
 
 
 def test_a_perception_that_begins_again_frees_what_has_gone_meanwhile(tmp_path: Path) -> None:

@@ -106,7 +106,9 @@ class CameraSource:
     def taken(self, valid: float, robot: float, took: float) -> None:
         """An image was taken into the map: the shares of its pixels with a depth and of the robot, and how long that took (s)."""
         self._images += 1
-        self._seen_at, self._arrived = time.monotonic(), True
+        self._arrived = True
+        if valid >= COVERED:
+            self._seen_at = time.monotonic()
         self._valid, self._robot = valid, robot
         self._took += (took - self._took) * (_ALPHA if self._images > 1 else 1.0)
         self._fault = (
@@ -118,10 +120,19 @@ class CameraSource:
         self._fault = why
 
     @property
+    def _age(self) -> float:
+        return time.monotonic() - self._seen_at
+
+    @property
+    def stale(self) -> bool:
+        """Whether it has not seen for a while; a single image that cannot be used does not matter."""
+        return self._age > max(SILENCE, 5.0 / self.camera.rate)
+
+    @property
     def state(self) -> CameraState:
         """How its images are doing now."""
-        age, problem = time.monotonic() - self._seen_at, self._fault
-        if age > max(SILENCE, 5.0 / self.camera.rate) and not problem:
+        age, problem = self._age, self._fault
+        if self.stale and not problem:
             problem = f"no image for {age:.1f} s" if self._arrived else "no image yet"
         return CameraState(
             name=self.camera.name,

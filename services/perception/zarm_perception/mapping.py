@@ -184,7 +184,8 @@ class Mapping:
             self._publish(name, block)
 
     def _state(self) -> PerceptionState:
-        cameras = tuple(source.state for source in self._sources.values())
+        sources = tuple(self._sources.values())
+        cameras = tuple(source.state for source in sources)
         voxels = self._voxels
         (a, b, c), (x, y, z) = voxels.lower.tolist(), voxels.upper.tolist()
         return PerceptionState(
@@ -195,6 +196,6 @@ class Mapping:
             padding=self._padding,
             unseen="occupied" if voxels.unseen_occupied else "free",
             occupied=int(np.count_nonzero(voxels.occupied)),
-            stale=any(state.problem for state in cameras),
+            stale=any(source.stale for source in sources),
             stamp=time.time(),
         )

@@ -66,6 +66,7 @@ from zarm_planner.planners.registry import AUTO, PLANNERS, check_name, choose, n
 from zarm_planner.program_stage import ProgramStage
 from zarm_planner.programs import PlannedProgram, SceneChange, of_only_segment, plan_program, with_ways
 from zarm_planner.scene.attached_objects import carrier, check_attach, check_links
+from zarm_planner.scene.map_health import MapHealth
 from zarm_planner.scene.scene_cache import SceneCache
 from zarm_planner.scene.store import SceneStore
 from zarm_planner.scheduler import Scheduler
@@ -115,6 +116,7 @@ class Handlers:
             partial(Limits.of, model.robot)
         )  # by the scales of velocity and acceleration
         self.scenes = SceneCache(model, store)
+        self.map_health = MapHealth()
 
     def warm_up(self, report: Callable[[str], None]) -> None:
         """Compile or load the kernels used by plans; `report` is told what comes next."""
@@ -136,8 +138,7 @@ class Handlers:
     def plan(self, request: PlanRequest) -> Plan:
         """A verified trajectory to the goal. Raises a ZarmError saying why there is none."""
         settings, model = self._settings, self._model
-        if self._store.lost is not None:
-            raise Unavailable(self._store.lost)
+        self._check_scene()
         planner = self._choose(request)
         if with_ways(request.goal):
             return self._with_ways(request)
@@ -181,6 +182,13 @@ class Handlers:
         )
         tips = group.names if group is not None else ()
         return self._reply(revision, verified, timings, openings, tip=self._tip(tips, verified))
+
+    def _check_scene(self) -> None:
+        """Raises Unavailable while the scene or the voxel map is not what is there."""
+        if self._store.lost is not None:
+            raise Unavailable(self._store.lost)
+        if self._model.robot.descriptor.stale_map == "refuse":
+            self.map_health.check()
 
     def _reply(
         self,
@@ -239,8 +247,7 @@ class Handlers:
     def program(self, request: ProgramRequest) -> tuple[Plan, tuple[ChangeAt, ...]]:
         """A program as one motion, and what it attaches and detaches. Raises a ZarmError that names the segment."""
         settings = self._settings
-        if self._store.lost is not None:
-            raise Unavailable(self._store.lost)
+        self._check_scene()
 
         def work(deadline: Deadline) -> tuple[ProgramStage, PlannedProgram, Array]:
             start = within_range(self._model, self._measured() if request.start is None else request.start, "start")
