@@ -216,6 +216,7 @@ _CHECKED = m.CheckResult(
     pair=("link_3", "table"),
     spheres=(0.1, 0.5),
     points=((0.5, 0.0, 0.1), (0.5, 0.0, 0.0)),
+    holding=(m.HoldingTorque(torque=-12.5, effort=87.0), m.HoldingTorque(torque=3.0)),
 )
 
 EXAMPLES: tuple[Message, ...] = (
@@ -303,7 +304,8 @@ EXAMPLES: tuple[Message, ...] = (
     m.IkSolutions(solutions=(((0.1, 0.2), (0.3, 0.4)), ())),
     m.FkRequest(joints=((0.1, 0.2), (0.3, 0.4)), device="kernels", group="left"),
     m.FkPoses(poses=(_POSE,)),
-    m.CheckRequest(joints=((0.1, 0.2),), spheres=True, points=True),
+    m.CheckRequest(joints=((0.1, 0.2),), spheres=True, points=True, torque=True),
+    m.HoldingTorque(torque=-12.5, effort=87.0),
     _CHECKED,
     m.CheckResults(results=(_CHECKED,)),
     m.PlannerSettings(

@@ -71,13 +71,15 @@ class Kinematics(Calls):
         *,
         spheres: bool = False,
         points: bool = False,
+        torque: bool = False,
         timeout: float = ANSWER_SECONDS,
     ) -> Sequence[CheckResult]:
         """The distance (m) of the robot to the scene and to itself at each row of joint positions (rad), up to 1000 of
         them; by default at the measured ones.
 
-        With `spheres`, also the distance of each collision sphere; with `points`, the two nearest points.
+        With `spheres`, also the distance of each collision sphere; with `points`, the two nearest points; with `torque`, what holds each joint
+        still, with what the robot carries.
         """
         where = None if joints is None else rows(joints, "joints")
-        request = made(CheckRequest, joints=where, spheres=spheres, points=points)
+        request = made(CheckRequest, joints=where, spheres=spheres, points=points, torque=torque)
         return self._ask(self._keys.check, request, timeout=timeout).results

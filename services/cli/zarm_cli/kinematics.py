@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Annotated
 
 import typer
@@ -11,7 +12,7 @@ from zarm_cli.client import AsJson, Connect, Name, connected, floats, joints, me
 from zarm_cli.goals import Free, Group, Tip, Tolerance, ToleranceFrame, full_pose, typed_freedom
 from zarm_cli.output import degrees, facts, numbers, out, pose_text, print_json
 from zarm_contract.errors import PlanningFailed
-from zarm_contract.messages import CheckResults, FkPoses, IkRequest
+from zarm_contract.messages import CheckResults, FkPoses, HoldingTorque, IkRequest
 from zarm_runtime.session import DEFAULT_ENDPOINT
 
 At = Annotated[
@@ -91,6 +92,9 @@ def check(
     spheres: Annotated[
         bool, typer.Option("--spheres", help="Also list the distance of each collision sphere.")
     ] = False,
+    torque: Annotated[
+        bool, typer.Option("--torque", help="Also list the torques that hold the robot there, with what it carries.")
+    ] = False,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
@@ -98,7 +102,7 @@ def check(
     """Collision check: the distance to the scene and of the robot to itself."""
     where = joints(at, "--joints")
     with connected(connect, name) as robot:
-        (result,) = robot.check(None if where is None else [where], spheres=spheres)
+        (result,) = robot.check(None if where is None else [where], spheres=spheres, torque=torque)
     if as_json:
         print_json(CheckResults(results=(result,)))
         return
@@ -111,5 +115,15 @@ def check(
             ),
             ("limits", "held" if result.within_limits else "violated"),
             *([] if result.spheres is None else [("spheres", f"{numbers(result.spheres)} m")]),
+            *(_torque_facts(result.holding) if torque else []),
         )
     )
+
+
+def _torque_facts(holding: Sequence[HoldingTorque] | None) -> Iterator[tuple[str, str]]:
+    if holding is None:
+        yield "torque", "unknown: the URDF does not state the inertia of each link"
+        return
+    for number, one in enumerate(holding, 1):
+        share = "" if one.effort is None else f", {abs(one.torque) / one.effort:.0%} of {one.effort:g}"
+        yield f"torque {number}", f"{one.torque:.1f} Nm{share}"

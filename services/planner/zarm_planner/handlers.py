@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import secrets
 import threading
@@ -25,6 +26,7 @@ from zarm_contract.messages import (
     FkPoses,
     FkRequest,
     GripperState,
+    HoldingTorque,
     IkRequest,
     IkSolutions,
     Move,
@@ -46,6 +48,7 @@ from zarm_contract.messages import (
     Touch,
     Vector3,
 )
+from zarm_geometry.dynamics import Dynamics
 from zarm_geometry.exact import RESOLUTION
 from zarm_geometry.frames import matrix, pose_of
 from zarm_geometry.gripper_openings import GripperOpenings, openings_message
@@ -359,6 +362,7 @@ class Handlers:
                 nearest = scene.exact.nearest(q, deadline.check)
                 spheres = tuple(sphere_distances(whole, scene.world, q).tolist()) if request.spheres else None
                 points = scene.exact.nearest_points(q, nearest) if request.points else None
+                dynamics = scene.exact.model.dynamics if request.torque else None
                 results.append(
                     CheckResult(
                         in_collision=nearest.distance <= 0.0,
@@ -367,6 +371,7 @@ class Handlers:
                         pair=nearest.pair,
                         spheres=spheres,
                         points=None if points is None else _two(points),
+                        holding=None if dynamics is None else _holding(dynamics, q),
                     )
                 )
             return CheckResults(results=tuple(results))
@@ -432,6 +437,15 @@ class Handlers:
             return self._measured()
         except ExecutionRefused:
             return np.array(self._model.robot.descriptor.home)
+
+
+def _holding(dynamics: Dynamics, q: Array) -> tuple[HoldingTorque, ...]:
+    """The torques that hold the robot at joints (dof,)."""
+    torques, efforts = dynamics.holding(q[None])[0].tolist(), dynamics.limit.tolist()
+    return tuple(
+        HoldingTorque(torque=torque, effort=effort if math.isfinite(effort) else None)
+        for torque, effort in zip(torques, efforts, strict=True)
+    )
 
 
 def _two(points: NDArray[np.float64]) -> tuple[Vector3, Vector3]:

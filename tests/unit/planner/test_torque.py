@@ -15,6 +15,7 @@ from zarm_contract.messages import (
     AddObjects,
     Attach,
     AttachObject,
+    CheckRequest,
     Cuboid,
     JointGoal,
     LineGoal,
@@ -209,6 +210,27 @@ def test_a_motion_that_was_slowed_down_is_not_sped_up_again(tmp_path: Path) -> N
     handlers = with_load(tmp_path, 5.0)
     plan = handlers.plan(PlanRequest(goal=JointGoal(kind="joints", position=THERE), optimize_s=0.1))
     assert worst(plan, 5.0) <= 1.0
+
+
+def test_a_check_says_what_holds_each_joint(tmp_path: Path) -> None:
+    """Against the weight of the load at its distance from each axis."""
+    light, heavy = (
+        with_load(tmp_path / str(mass), mass)
+        .check(CheckRequest(joints=(tuple(HOME.tolist()),), torque=True))
+        .results[0]
+        for mass in (1e-9, 2.0)
+    )
+    assert light.holding is not None
+    assert heavy.holding is not None
+    below = MODEL.fk_tip(HOME)[:3, 3] - [0.0, 0.0, 0.05]
+    for joint, (one, other) in enumerate(zip(light.holding, heavy.holding, strict=True)):
+        frame = MODEL.fk_joint(joint, HOME)
+        lever = np.cross(frame[:3, 2], below - frame[:3, 3])[2]
+        assert other.torque - one.torque == pytest.approx(2.0 * 9.81 * lever, abs=1e-4)
+        assert other.effort in (87.0, 12.0)
+    assert (
+        with_load(tmp_path / "none", 2.0).check(CheckRequest(joints=(tuple(HOME.tolist()),))).results[0].holding is None
+    )
 
 
 def test_a_program_keeps_the_torques_of_each_segment(tmp_path: Path) -> None:

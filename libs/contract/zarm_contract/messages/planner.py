@@ -263,12 +263,20 @@ class FkPoses(Message):
 class CheckRequest(Message):
     """Check joint vectors (rad; default: the measured joints) for collision. `spheres` asks for the distance of each collision sphere.
 
-    `points` asks between which points the clearance is measured.
+    `points` asks between which points the clearance is measured, `torque` which torques hold the robot there.
     """
 
     joints: tuple[Joints, ...] | None = Field(default=None, min_length=1, max_length=1000)
     spheres: bool = False
     points: bool = False
+    torque: bool = False
+
+
+class HoldingTorque(ShortMessage):
+    """The `torque` (Nm, N if prismatic) that holds a joint still against gravity, and its `effort`, left out where the URDF states none that can be."""
+
+    torque: float
+    effort: Positive | None = None
 
 
 class CheckResult(Message):
@@ -277,7 +285,8 @@ class CheckResult(Message):
     A negative `clearance` is a penetration depth (m). `spheres` (m) are the distances from the collision spheres of the robot
     to the scene, link by link in the order of the descriptor; negative inside an object, at most 1 m. They include links that
     are fixed to the base and links whose collisions are ignored. `points` (m, in the base frame) are the nearest ones of the
-    pair, left out where the two overlap.
+    pair, left out where the two overlap. `holding` has the joints in the descriptor's order, with what the robot carries; it is left out if the
+    URDF does not state the inertia of each link.
     """
 
     in_collision: bool
@@ -286,6 +295,7 @@ class CheckResult(Message):
     pair: tuple[str, str] | None = None
     spheres: tuple[float, ...] | None = None
     points: tuple[Vector3, Vector3] | None = None
+    holding: tuple[HoldingTorque, ...] | None = None
 
 
 class CheckResults(Message):
