@@ -1,0 +1,83 @@
+"""Things that appear in the way of a moving robot: `python tests/benchmarks/dropped.py [--count 50]`.
+
+A UR5e with mass swings to and fro. Somewhere ahead of its tip a box of 6 to 15 cm appears, seen by two simulated cameras at 10 Hz. *Held* are the motions
+that were held, *touched* those in which the simulation had a contact of robot and box, *went on* those that came to their goal after the box was taken away.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from support.seeing_cell import BACK, FLOOR, FRONT, MODEL, SIDE, THERE, UR5E, Cell, cell_of
+from zarm_contract.messages import Cuboid, Plan
+
+SCALE = 0.3
+"""Share of the joints' speeds."""
+LINKS = {*UR5E.descriptor.collision}
+WATCHED = 2.5
+"""s for which a held motion is watched."""
+
+
+def box_ahead(plan: Plan, rng: np.random.Generator) -> Cuboid:
+    """A box where the tip will be later."""
+    positions = np.array(plan.trajectory.position)
+    tip = MODEL.fk_tip(positions[int(rng.uniform(0.55, 0.85) * len(positions))])[:3, 3]
+    place, size = tip + rng.uniform(-0.05, 0.05, 3), rng.uniform(0.06, 0.15, 3)
+    return Cuboid(kind="cuboid", name="box", position=tuple(place.tolist()), size=tuple(size.tolist()))
+
+
+def touches(cell: Cell) -> bool:
+    """Whether the robot touches the box now."""
+    pairs = [{one.first, one.second} for one in cell.robot.simulation.state().contacts]
+    return any("box" in pair and pair & LINKS for pair in pairs)
+
+
+def trial(cell: Cell, goal: tuple[float, ...], rng: np.random.Generator) -> tuple[bool, bool, bool]:
+    """Whether a motion was held, whether it touched the box, and whether it went on to its goal."""
+    plan = cell.robot.plan(goal, velocity_scale=SCALE)
+    running = cell.robot.start(plan)
+    time.sleep(float(rng.uniform(0.0, 0.2)) * plan.trajectory.time[-1])
+    cell.world(FLOOR, box_ahead(plan, rng))
+    held = touched = False
+    until = time.monotonic() + WATCHED
+    for state in cell.robot.goal_states(running):
+        held = held or state.hold is not None
+        touched = touched or touches(cell)
+        if held and time.monotonic() > until:
+            break
+    cell.world(FLOOR)
+    return held, touched, cell.robot.follow(running).status == "succeeded"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=50)
+    arguments = parser.parse_args()
+    rng, found = np.random.default_rng(0), []
+    with tempfile.TemporaryDirectory() as folder, cell_of(Path(folder)) as cell:
+        cell.world(FLOOR)
+        cell.look(FRONT, SIDE)
+        cell.robot.execute(cell.robot.plan(BACK))
+        for number in range(arguments.count):
+            found.append(trial(cell, BACK if number % 2 else THERE, rng))
+            if not found[-1][2]:
+                cell.robot.reset()
+                cell.robot.execute(cell.robot.plan(BACK if number % 2 else THERE))
+    table = Table("motions", "held", "touched", "went on")
+    table.add_row(str(len(found)), *(str(sum(column)) for column in zip(*found, strict=True)))
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()
