@@ -20,6 +20,8 @@ from rich.table import Table
 
 from support.seeing_cell import BACK, FLOOR, FRONT, MODEL, SIDE, THERE, UR5E, Cell, cell_of
 from zarm_contract.messages import Cuboid, Plan
+from zarm_geometry import rows
+from zarm_perception.robot_shape import RobotShapes
 
 SCALE = 0.3
 """Share of the joints' speeds."""
@@ -28,8 +30,16 @@ WATCHED = 2.5
 """s for which a held motion is watched."""
 
 
-def box_ahead(plan: Plan, rng: np.random.Generator) -> Cuboid:
-    """A box where the tip will be later."""
+def box_ahead(cell: Cell, plan: Plan, rng: np.random.Generator) -> Cuboid:
+    """A box where the tip will be later, 10 cm from where the robot is."""
+    while True:
+        box = _box_ahead(plan, rng)
+        robot = RobotShapes(MODEL).at(np.array(cell.robot.joint_state().position)).parts
+        if rows.distances(np.array([box.position]), robot).min() > 0.1 + max(box.size):
+            return box
+
+
+def _box_ahead(plan: Plan, rng: np.random.Generator) -> Cuboid:
     positions = np.array(plan.trajectory.position)
     tip = MODEL.fk_tip(positions[int(rng.uniform(0.55, 0.85) * len(positions))])[:3, 3]
     place, size = tip + rng.uniform(-0.05, 0.05, 3), rng.uniform(0.06, 0.15, 3)
@@ -47,7 +57,7 @@ def trial(cell: Cell, goal: tuple[float, ...], rng: np.random.Generator) -> tupl
     plan = cell.robot.plan(goal, velocity_scale=SCALE)
     running = cell.robot.start(plan)
     time.sleep(float(rng.uniform(0.0, 0.2)) * plan.trajectory.time[-1])
-    cell.world(FLOOR, box_ahead(plan, rng))
+    cell.world(FLOOR, box_ahead(cell, plan, rng))
     held = touched = False
     until = time.monotonic() + WATCHED
     for state in cell.robot.goal_states(running):

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry import rows
 from zarm_perception.kernels.integration import (
     BLOCK,
     FREE,
@@ -24,6 +23,7 @@ from zarm_perception.kernels.integration import (
     least_depths,
     mark,
     mask_robot,
+    take_out,
 )
 
 Array = NDArray[np.float64]
@@ -36,6 +36,10 @@ class RobotShape(NamedTuple):
 
     parts: Array
     balls: Array
+
+
+_DIAGONAL = 3.0**0.5 / 2.0
+"""From the centre of a voxel to its corner, in widths."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,7 @@ class VoxelMap:
         cleaned(depth, view.near, view.far, counted)
         mask = np.zeros(depth.shape, np.uint8)
         mask_robot(counted, view, robot.parts, robot.balls, padding, mask)
+        take_out(self._grid, robot.parts, robot.balls, _DIAGONAL * self.resolution)  # nothing else is where it is
         marking = mark(self._grid, counted, view, mask, self._images)
         through = np.empty_like(counted)
         filled(counted, through)
@@ -84,17 +89,7 @@ class VoxelMap:
 
     def take_out(self, shape: RobotShape, padding: float) -> None:
         """Free what is within `padding` (m) of a shape: it was seen before that was known."""
-        grid, most = self._grid, padding + self.resolution / 2.0
-        for part, ball in zip(shape.parts, shape.balls, strict=True):
-            reach = ball[3] + most
-            low = np.maximum(0, np.floor((ball[:3] - reach - self.lower) / self.resolution)).astype(int)
-            high = np.maximum(0, np.ceil((ball[:3] + reach - self.lower) / self.resolution)).astype(int)
-            box = grid.state[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
-            there = np.argwhere(box == OCCUPIED)
-            points = grid.origin + (low + there) * self.resolution
-            gone = there[rows.distances(points, part[None])[:, 0] <= most]
-            box[tuple(gone.T)] = FREE
-            grid.changed[tuple(((low + gone) // BLOCK).T)] = 1
+        take_out(self._grid, shape.parts, shape.balls, padding + self.resolution / 2.0)
 
     def forget(self) -> None:
         """Make everything unseen."""

@@ -158,6 +158,18 @@ def test_the_robot_is_not_in_the_map_and_what_is_near_it_is() -> None:
     assert on_ball.sum() > 20
 
 
+def test_where_the_robot_is_nothing_else_is() -> None:
+    """What it was pushed into, or what came to where it is now, and went unseen behind it."""
+    hand = M1013.fk_tip(HOME)[:3, 3]
+    ball = Sphere(kind="sphere", name="ball", position=tuple(hand.tolist()), radius=0.08)
+    view, voxels, robot = looking((1.6, 0.6, 1.1), (0.3, 0.0, 0.4)), empty_map(), RobotShapes(M1013).at(HOME)
+    voxels.integrate(seen(view, ball, WALL), view, NOBODY, 0.0)
+    assert rows.distances(centers(voxels, voxels.occupied), robot.parts).min() < 0.0
+    voxels.integrate(np.zeros((HEIGHT, WIDTH), np.float32), view, robot, 0.03)
+    away = rows.distances(centers(voxels, voxels.occupied), robot.parts).min(axis=1)
+    assert 0.017 < away.min() < 0.03, "what is near it stays"
+
+
 def test_the_filter_leaves_out_what_is_within_the_padding_and_no_more() -> None:
     shape = RobotShapes(M1013).at(HOME)
     view = looking((1.6, 0.6, 1.1), (0.3, 0.0, 0.4))

@@ -140,6 +140,41 @@ def mask_robot(depth: Depth, view: View, parts: Array, balls: Array, padding: fl
 
 
 @kernel
+def take_out(grid: Grid, parts: Array, balls: Array, padding: float) -> None:
+    """Free the occupied voxels whose centre is within `padding` (m) of one of the convex `parts` (m, 17), each inside one of
+    `balls` (m, 4).
+    """
+    nx, ny, nz = grid.state.shape
+    origin, per = grid.origin, 1.0 / grid.resolution
+    for m in range(parts.shape[0]):
+        p = parts[m]
+        core = (p[12], p[13], p[14], p[15])
+        reach, most = balls[m, 3] + padding, padding + p[16]
+        first_i = max(0, math.ceil((balls[m, 0] - reach - origin[0]) * per))
+        first_j = max(0, math.ceil((balls[m, 1] - reach - origin[1]) * per))
+        first_k = max(0, math.ceil((balls[m, 2] - reach - origin[2]) * per))
+        last_i = min(nx - 1, math.floor((balls[m, 0] + reach - origin[0]) * per))
+        last_j = min(ny - 1, math.floor((balls[m, 1] + reach - origin[1]) * per))
+        last_k = min(nz - 1, math.floor((balls[m, 2] + reach - origin[2]) * per))
+        for i in range(first_i, last_i + 1):
+            x = origin[0] + i * grid.resolution
+            for j in range(first_j, last_j + 1):
+                y = origin[1] + j * grid.resolution
+                for k in range(first_k, last_k + 1):
+                    if grid.state[i, j, k] != OCCUPIED:
+                        continue
+                    z = origin[2] + k * grid.resolution
+                    local = (
+                        p[0] * x + p[1] * y + p[2] * z + p[3],
+                        p[4] * x + p[5] * y + p[6] * z + p[7],
+                        p[8] * x + p[9] * y + p[10] * z + p[11],
+                    )
+                    if core_distance(local, core) <= most:
+                        grid.state[i, j, k] = FREE
+                        grid.changed[i // BLOCK, j // BLOCK, k // BLOCK] = 1
+
+
+@kernel
 def mark(grid: Grid, depth: Depth, view: View, mask: Mask, number: int) -> int:
     """Mark as occupied the voxels in which two pixels that count end, or one of a voxel that appears on few, except those of the `mask` (h, w) and those without a
     surface. Returns how many pixels marked one.
