@@ -80,6 +80,11 @@ class Mapping:
         self._news.set()
         self._thread.join()
 
+    @property
+    def alive(self) -> bool:
+        """Whether images are still taken."""
+        return self._thread.is_alive()
+
     # -- what comes in, from any thread --
 
     def change(self, change: CameraChange) -> Cameras:

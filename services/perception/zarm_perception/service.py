@@ -63,6 +63,7 @@ def start(service: Service) -> Iterator[None]:
         bus.serve(keys.cameras, change, workers=1)
         bus.serve(keys.perception_clear, mapping.clear, workers=1)
         bus.listen(keys.depth("*"), mapping.on_image)
+        service.impairment = lambda: None if mapping.alive else "it takes no images any more; see its log"
         service.ready()
         yield
 

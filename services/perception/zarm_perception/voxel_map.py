@@ -122,8 +122,3 @@ class VoxelMap:
                 occupied[i, j, k],
             )
         self._grid.changed[:] = 0
-
-    def cell_of(self, point: Array) -> BlockIndex:
-        """The voxel that contains a point (3,) of the box."""
-        i, j, k = np.floor((point - self.lower) / self.resolution).astype(int)
-        return int(i), int(j), int(k)
