@@ -231,7 +231,9 @@ def _within_torque(
     try:
         slower, use = within_torque(dynamics, trajectory, context.limits, begun=problem.beginning[1] is not None)
     except TooHeavy as error:
-        raise VerificationFailed(f"{names[error.joint]} {error}") from error
+        raise VerificationFailed(
+            f"{names[error.joint]} {error}", remedy="carry less, or choose another goal"
+        ) from error
     except TooFast as error:
         raise VerificationFailed(f"{names[error.use.joint]} {error}") from error
     stretch = max(1.0, slower.duration / trajectory.duration)
@@ -254,7 +256,6 @@ def _given_up(failure: VerificationFailed) -> PlanningFailed:
             fraction=failure.fraction,
         )
     return PlanningFailed(
-        f"every path that was found was rejected: {failure}; allow more time or attempts, or, against collisions, a larger "
-        "margin",
+        f"every path that was found was rejected: {failure}; {failure.remedy}",
         code="no_path",
     )

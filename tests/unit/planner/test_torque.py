@@ -115,7 +115,9 @@ def test_what_is_heavy_is_carried_more_slowly_within_the_efforts(mass: float, tm
 
 def test_what_is_too_heavy_to_hold_is_refused_with_the_joint(tmp_path: Path) -> None:
     handlers = with_load(tmp_path, 30.0)
-    with pytest.raises(PlanningFailed, match=r"panda_joint\d would need \d+ Nm to stand still at .* and has \d+"):
+    with pytest.raises(
+        PlanningFailed, match=r"panda_joint\d would need \d+ Nm to stand still at .* and has \d+: .*; carry less"
+    ):
         to_there(handlers, max_attempts=2)
 
 

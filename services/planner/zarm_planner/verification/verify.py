@@ -31,15 +31,19 @@ RANGE = 1e-4
 """Rad by which a joint may be outside its range: rounding, and interpolation between samples."""
 
 
+_REMEDY = "allow more time or attempts, or, against collisions, a larger margin"
+
+
 class VerificationFailed(Exception):
     """A trajectory fails verification; the message says in what, where and by how much, `time` at how many s of it.
 
-    `fraction` (0..1) says how far along a curve that is.
+    `fraction` (0..1) says how far along a curve that is, `remedy` what helps.
     """
 
-    def __init__(self, message: str, time: float | None = None) -> None:
+    def __init__(self, message: str, time: float | None = None, remedy: str = _REMEDY) -> None:
         super().__init__(message)
         self.time = time
+        self.remedy = remedy
         self.fraction: float | None = None
 
 
