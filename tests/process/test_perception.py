@@ -36,6 +36,7 @@ def test_what_cameras_see_is_avoided_and_the_robot_is_not_in_its_own_way(tmp_pat
         state = cell.look(FRONT, SIDE)
         assert not state.stale
         assert all(one.robot > 0.005 for one in state.cameras)
+        assert {*cell.robot.perception.points()} == {*map(tuple, cell.points.tolist())}
         off = rows.distances(cell.points, rows.primitives([FLOOR, POST])).min(axis=1)
         assert off.max() < 0.02, "nothing is seen that is not there"
         for goal in (BACK, THERE, BACK):

@@ -194,6 +194,7 @@ class Perception(_Twin[zarm.perception.Perception]):
     add = _awaited(zarm.perception.Perception.add)
     remove = _awaited(zarm.perception.Perception.remove)
     publish = _awaited(zarm.perception.Perception.publish)
+    points = _awaited(zarm.perception.Perception.points)
     clear = _awaited(zarm.perception.Perception.clear)
     state = _awaited(zarm.perception.Perception.state)
 

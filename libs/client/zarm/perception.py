@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from base64 import b64decode
+
 from zarm.calls import Calls
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.image import PIXEL_BYTES, encode_image
-from zarm_contract.messages import Camera, CameraChange, ImageHeader, Nothing, PerceptionState
+from zarm_contract.messages import Camera, CameraChange, ImageHeader, Nothing, PerceptionState, Vector3, VoxelBlock
+from zarm_contract.messages.perception import BLOCK
 
 
 class Perception(Calls):
@@ -39,6 +42,22 @@ class Perception(Calls):
             )
         header = ImageHeader.model_validate({"stamp": stamp, "width": width, "height": height, "encoding": encoding})
         self.connection.publisher(self._keys.depth(camera)).put_encoded(encode_image(header, pixels))
+
+    def points(self) -> list[Vector3]:
+        """The centres of the occupied voxels (m, base frame)."""
+        import numpy as np
+
+        blocks: dict[str, VoxelBlock] = {}
+
+        def read() -> None:
+            self.connection.bus.watch(self._keys.voxels("*"), lambda key, block: blocks.update({key: block}))()
+
+        self.connection.interrupts.run_interruptibly(read)
+        found: list[Vector3] = []
+        for block in blocks.values():
+            bits = np.unpackbits(np.frombuffer(b64decode(block.cells), np.uint8)).reshape(-1, BLOCK, BLOCK)
+            found += map(tuple, (np.argwhere(bits) * block.resolution + block.position).tolist())
+        return found
 
     def clear(self) -> None:
         """Forget what the cameras have seen."""
