@@ -18,12 +18,13 @@ from zarm_perception.kernels.integration import Depth, View
 Array = NDArray[np.float64]
 
 OLDEST, EARLIEST = 0.5, 0.02
-"""An image may be this old (s) when it arrives, and by the second stamped in the future."""
+"""An image may be this old (s) when it arrives, and stamped this far (s) in the future."""
 SILENCE = 1.0
 """Without an image for this long (s), or for as long as five take, a camera does not see any more."""
 COVERED = 0.02
 """An image of which less than this share has a depth shows nothing."""
 _ALPHA = 0.1
+"""Weight of the newest image in the mean of the times that images take."""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ class DepthRenderer:
     """Renders depth images of one simulation. To be used in one thread."""
 
     def __init__(self, simulation: Simulation, width: int, height: int) -> None:
-        self.simulation, self.size = simulation, (width, height)
+        self.simulation = simulation
         self._renderer: Any = simulation.renderer(width, height, _NEAR, _FAR)
         self._renderer.enable_depth_rendering()
 

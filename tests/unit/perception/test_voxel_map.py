@@ -232,6 +232,25 @@ def test_pixels_that_fly_between_two_surfaces_mark_nothing() -> None:
     assert (off < 0.02).mean() > 0.99
 
 
+def test_a_single_hole_in_an_image_keeps_nothing() -> None:
+    view, voxels = looking((1.2, 0.0, 0.2), (0.0, 0.0, 0.2)), empty_map()
+    box = Cuboid(kind="cuboid", name="box", position=(0.0, 0.0, 0.2), size=(0.2, 0.2, 0.2))
+    voxels.integrate(seen(view, box, WALL), view, NOBODY, 0.0)
+    gone = seen(view, WALL)
+    gone[HEIGHT // 2, WIDTH // 2] = 0.0
+    for _ in range(PASSES):
+        voxels.integrate(gone, view, NOBODY, 0.0)
+    assert not voxels.occupied[cell_of(voxels, np.array((0.095, 0.0, 0.2)))]
+
+
+def test_one_pixel_is_noise_where_a_voxel_appears_on_many() -> None:
+    view, voxels = looking((0.1, 0.0, 0.2), (-1.0, 0.0, 0.2)), empty_map()
+    depth = seen(view, WALL)
+    depth[HEIGHT // 2, WIDTH // 2] -= 0.026
+    voxels.integrate(depth, view, NOBODY, 0.0)
+    assert rows.distances(centers(voxels, voxels.occupied), rows.primitives([WALL])).max() < 0.015
+
+
 def test_what_nobody_has_seen_is_occupied_if_that_is_asked_for() -> None:
     view, voxels = looking((1.2, 0.0, 0.2), (0.0, 0.0, 0.2)), empty_map(unseen_occupied=True)
     assert voxels.occupied.all()

@@ -21,7 +21,7 @@ Mask = NDArray[np.uint8]
 UNSEEN, FREE, OCCUPIED = 0, 1, 2
 """States of a voxel."""
 PASSES = 3
-"""So many images in sequence must see through an occupied voxel: at the surface of a thing, noise marks it in one and not in the next."""
+"""So many images must see through an occupied voxel since one has marked it: at a surface, noise marks it in one image and not in the next."""
 BLOCK = 16
 """Voxels along each edge of a block."""
 
@@ -42,9 +42,8 @@ class View(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """A voxel map: `state` (nx, ny, nz), the number of the last image that `marked` each voxel (nx, ny, nz) and that `touched` it with a pixel, and
-    how many have since `passed` through it. Voxel (0, 0, 0) is
-    centred at `origin` (3,), and each is `resolution` (m) wide. `changed` are the blocks in which a state has changed.
+    """A voxel map: `state` (nx, ny, nz) of each voxel, the number of the last image that `marked` it and of the last one that `touched` it with a
+    pixel, and how many have `passed` through it since it was marked. Voxel (0, 0, 0) is centred at `origin` (3,), and each is `resolution` (m) wide. `changed` are the blocks in which a state has changed.
     """
 
     state: Mask
@@ -112,7 +111,7 @@ def mask_robot(depth: Depth, view: View, parts: Array, balls: Array, padding: fl
         if nearest > 0.01:
             across, down = view.fx * r / nearest, view.fy * r / nearest
             u, v = view.cx + view.fx * a / c, view.cy + view.fy * b / c
-            # The ball is seen at most r / nearest around its centre, which itself shifts with the depth by less.
+            # |X / Z - a / c| <= (1 + |a / c|) r / (c - r) for every point (X, Y, Z) of the ball.
             wide, high = across + abs(u - view.cx) * r / nearest, down + abs(v - view.cy) * r / nearest
             left, right = max(0, math.floor(u - wide)), min(width, math.ceil(u + wide) + 1)
             top, bottom = max(0, math.floor(v - high)), min(height, math.ceil(v + high) + 1)
@@ -176,8 +175,8 @@ def take_out(grid: Grid, parts: Array, balls: Array, padding: float) -> None:
 
 @kernel
 def mark(grid: Grid, depth: Depth, view: View, mask: Mask, number: int) -> int:
-    """Mark as occupied the voxels in which two pixels that count end, or one of a voxel that appears on few, except those of the `mask` (h, w) and those without a
-    surface. Returns how many pixels marked one.
+    """Mark as occupied the voxels in which two pixels end, or one if the voxel appears on few. Pixels of the `mask` (h, w), and those without a
+    depth, do not count. Returns how many ended in the map.
     """
     height, width = depth.shape
     turn, place, origin, size = view.turn, view.place, grid.origin, grid.resolution
@@ -259,8 +258,8 @@ def least_depths(depth: Depth) -> Depth:
 
 @kernel
 def clear(grid: Grid, least: Depth, view: View, number: int, unseen: bool) -> int:
-    """Free the occupied voxels through all of which the camera has seen PASSES times, except those that image `number` marked, and those that are
-    `unseen` if these matter. `least` as `least_depths` has it. Returns how many occupied ones it freed.
+    """Free the occupied voxels that PASSES images have seen through, except those that image `number` marked; with `unseen` also those that nothing was
+    known of, at once. `least` as `least_depths` has it. Returns how many occupied ones it freed.
 
     A voxel is seen through if every pixel on which it can appear is deeper than all of it; so what is beside it in the
     image keeps it, and never the other way around.

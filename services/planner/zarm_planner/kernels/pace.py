@@ -2,7 +2,7 @@
 
 Reachability analysis (Pham and Pham, "A New Approach to Time-Optimal Path Parameterization Based on Reachability
 Analysis", 2018) with the motion as the path: for its time s as a function of time, a quantity that is linear in position,
-velocity and acceleration needs `per_square` ds² + `per_rate` dds. TOPPRA's own solver takes a hundred times as long.
+velocity and acceleration is a factor times ds² and another times dds. TOPPRA's own solver takes a hundred times as long.
 """
 
 from __future__ import annotations
