@@ -186,7 +186,7 @@ _TARGETS = (
     ),
     m.TwistTarget(kind="twist", frame="tool", linear=(0.1, 0.0, 0.0), angular=(0.0, 0.0, 0.2), group="left"),
     m.JointSpeedTarget(kind="joint_speed", velocity=(0.1, -0.2)),
-    m.JointTarget(kind="joints", position=(0.1, -0.2)),
+    m.JointTarget(kind="joints", position=(0.1, -0.2), velocity=(0.05, 0.0)),
 )
 _SESSION = m.ServoSession(
     goal_id="jog-1",
@@ -207,7 +207,16 @@ _SESSION = m.ServoSession(
     cycles=250,
     late_cycles=1,
     computing=0.0012,
+    chunk=7,
+    lag=0.002,
 )
+_JOINT_POINTS = m.JointPoints(kind="joints", position=((0.1, -0.2), (0.2, -0.1)), velocity=((1.0, 1.0), (1.0, 1.0)))
+_POSE_POINTS = m.PosePoints(
+    kind="poses",
+    pose=(m.Pose(position=(0.4, 0.1, 0.3)), m.Pose(position=(0.4, 0.2, 0.3), orientation=(0.0, 0.0, 1.0, 0.0))),
+    group="left",
+)
+_CLIPPED = m.Clipped(joint="elbow", quantity="velocity", excess=0.2)
 _EMULATOR = m.StrategyInfo(name="emulator", available=True, reason="it needs no robot")
 _CHECKED = m.CheckResult(
     in_collision=False,
@@ -454,6 +463,40 @@ EXAMPLES: tuple[Message, ...] = (
     *_TARGETS,
     *(m.ServoTarget(goal_id="jog-1", sequence=3, stamp=1.75e9, target=target) for target in _TARGETS),
     _SESSION,
+    m.ServoChunk(
+        goal_id="policy-1",
+        sequence=4,
+        stamp=1.75e9,
+        start=1.75e9,
+        observed=1.75e9,
+        expiry=0.4,
+        dt=0.1,
+        points=_JOINT_POINTS,
+        gripper="hand",
+        opening=(0.04, 0.02),
+    ),
+    m.ServoChunk(
+        goal_id="policy-1",
+        sequence=5,
+        stamp=1.75e9,
+        time=(0.0, 0.25),
+        points=_POSE_POINTS,
+    ),
+    _JOINT_POINTS,
+    _POSE_POINTS,
+    _CLIPPED,
+    m.ChunkAccepted(
+        late=0.02,
+        lost=1,
+        jump=0.01,
+        clipped=(_CLIPPED,),
+        observation_age=0.15,
+        limiting="slowing",
+        link="link_3",
+        object="post",
+        distance=0.05,
+        lag=0.004,
+    ),
     m.ServoState(activity="following", goal_id="jog-1", scene_revision=_REVISION, session=_SESSION),
     # driver
     m.DriverCommand(

@@ -46,7 +46,7 @@ from zarm.record_story import Story
 from zarm.replaying import replay, story
 from zarm.robot import Robot
 from zarm.scene import Scene
-from zarm.servoing import Jogging, Tracking
+from zarm.servoing import ChunkTracking, Jogging, Tracking
 from zarm.streaming import Stream
 from zarm.values import Axis, PathConstraint, Pose, StartState, Trajectory
 from zarm_contract.errors import (
@@ -89,6 +89,7 @@ __all__ = [
     "Cancelled",
     "Capsule",
     "CheckResult",
+    "ChunkTracking",
     "Cuboid",
     "Cylinder",
     "DeadlineExceeded",

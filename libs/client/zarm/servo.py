@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, TypeVar
+from contextlib import AbstractContextManager, contextmanager, suppress
+from typing import TYPE_CHECKING, Literal, TypeVar, overload
 
 from zarm.calls import Calls
 from zarm.connection import Connection
@@ -13,23 +13,45 @@ from zarm_contract.errors import ZarmError
 from zarm_contract.messages import ServoStart
 
 if TYPE_CHECKING:
-    from zarm.servoing import Jogging, Tracking
+    from zarm.servoing import ChunkTracking, Jogging, Tracking
 
-S = TypeVar("S", "Jogging", "Tracking")
+S = TypeVar("S", "ChunkTracking", "Jogging", "Tracking")
 
 
 class Servo(Calls):
     """Sessions in which a program steers the robot; leaving one brings the robot to rest."""
 
-    @contextmanager
+    @overload
     def track(
         self,
         *,
+        chunks: Literal[False] = False,
         margin: float = 0.01,
         velocity_scale: float = 1.0,
         acceleration_scale: float = 1.0,
         take_over: bool = False,
-    ) -> Iterator[Tracking]:
+    ) -> AbstractContextManager[Tracking]: ...
+
+    @overload
+    def track(
+        self,
+        *,
+        chunks: Literal[True],
+        margin: float = 0.01,
+        velocity_scale: float = 1.0,
+        acceleration_scale: float = 1.0,
+        take_over: bool = False,
+    ) -> AbstractContextManager[ChunkTracking]: ...
+
+    def track(
+        self,
+        *,
+        chunks: bool = False,
+        margin: float = 0.01,
+        velocity_scale: float = 1.0,
+        acceleration_scale: float = 1.0,
+        take_over: bool = False,
+    ) -> AbstractContextManager[Tracking] | AbstractContextManager[ChunkTracking]:
         """The robot follows a changing pose or changing joint positions, and avoids collisions.
 
         ```python
@@ -38,14 +60,22 @@ class Servo(Calls):
                 tracking.to(seen_pose())
         ```
 
+        With `chunks` it follows what a policy plans ahead, many points at a time:
+
+        ```python
+        with robot.track(chunks=True) as tracking:
+            while running:
+                tracking.follow(policy(observation()), dt=1 / 30)
+        ```
+
         `margin` (m) is kept to the scene and between the robot's own links; the scales are shares of the limits of velocity and
         acceleration. Raises Busy if another session is open, unless `take_over` is set. Leaving the block brings the robot to
         rest. Raises Unavailable without a servo, or if the servo does not know the scene.
         """
-        from zarm.servoing import Tracking
+        from zarm.servoing import ChunkTracking, Tracking
 
-        with self._session(Tracking, margin, velocity_scale, acceleration_scale, take_over) as tracking:
-            yield tracking
+        options = margin, velocity_scale, acceleration_scale, take_over
+        return self._session(ChunkTracking, *options) if chunks else self._session(Tracking, *options)
 
     @contextmanager
     def jog(

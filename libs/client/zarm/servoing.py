@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Literal, cast
 
 from pydantic import ValidationError
 
 from zarm.connection import Connection
-from zarm.values import invalid, numbers
+from zarm.values import invalid, numbers, rows
 from zarm_contract.errors import DeadlineExceeded, InvalidRequest, Unavailable, from_problem
 from zarm_contract.messages import (
+    ChunkAccepted,
     GoalState,
+    JointPoints,
     JointSpeedTarget,
     JointTarget,
     Pose,
     PoseGoal,
+    PosePoints,
     PoseTarget,
+    ServoChunk,
     ServoEnd,
     ServoSession,
     ServoStart,
@@ -28,13 +32,15 @@ from zarm_contract.messages import (
 )
 
 if TYPE_CHECKING:
-    from zarm.values import Numbers
+    from zarm.values import Numbers, Rows
 
 PERIOD = 0.02
 """Interval (s) at which this client repeats a target."""
 POSITION_TOLERANCE, ANGLE_TOLERANCE, JOINT_TOLERANCE = 0.001, 0.01, 0.002
 """m, rad, rad: a robot this close to its target has reached it."""
 _START_SECONDS, _END_SECONDS = 10.0, 8.0
+_CHUNK_SECONDS = 2.0
+"""Longest time for the answer to a chunk."""
 
 
 class _Session:
@@ -74,15 +80,18 @@ class _Session:
         self._raise()
 
     def _send(self, make: Callable[[], PoseTarget | TwistTarget | JointSpeedTarget | JointTarget]) -> None:
-        self._raise()
-        if not self.running:
-            raise Unavailable("the session has ended; start another one, and use it inside its `with`")
+        self._demand_running()
         self._sequence += 1
         try:
             target = ServoTarget(goal_id=self.goal_id, sequence=self._sequence, stamp=time.monotonic(), target=make())
         except ValidationError as error:
             raise invalid("the target", error) from None
         self._publisher.put(target)
+
+    def _demand_running(self) -> None:
+        self._raise()
+        if not self.running:
+            raise Unavailable("the session has ended; start another one, and use it inside its `with`")
 
     @property
     def _goal(self) -> GoalState | None:
@@ -162,6 +171,65 @@ class Tracking(_Session):
             if not state.moving and _near(state):
                 return
         raise DeadlineExceeded(f"the robot has not reached the target after {timeout:g} s: {limited(self._state)}")
+
+
+class ChunkTracking(_Session):
+    """The robot follows chunks of motion, each of many points; `Robot.track` makes it."""
+
+    def follow(
+        self,
+        points: Rows | Sequence[Pose],
+        *,
+        dt: float | None = None,
+        times: Numbers | None = None,
+        start: float | None = None,
+        velocities: Rows | None = None,
+        opening: Numbers | None = None,
+        gripper: str | None = None,
+        observed: float | None = None,
+        expiry: float | None = None,
+        group: str | None = None,
+    ) -> ChunkAccepted:
+        """Follow 2 to 200 `points`: joint positions (rad), or a `zarm.Pose` each of the tip, of a `group` where there are several arms. They are
+        `dt` (s) apart, or at `times` (s) from the first.
+
+        The first is meant for the Unix time `start` (default: now). The robot follows the chunk before until then, and goes over to this one
+        inside its limits. It brakes at the end of the chunk, or `expiry` (s) after its start: send the next before that. `velocities` (rad/s) are
+        those of the joints at the points. `opening` (m) is that of the `gripper` at each point, and `observed` the Unix time of the observation.
+
+        Returns what the servo says: how late the chunk came, what the limits clip, and what limits the robot now. Raises InvalidRequest for a
+        chunk that is refused: the robot brakes when the one before has ended. Raises as `Tracking.to` does.
+        """
+        self._demand_running()
+        stamp = time.time()
+        self._sequence += 1
+        try:
+            of: JointPoints | PosePoints
+            poses = tuple(point for point in points if isinstance(point, Pose))
+            if poses:
+                of = PosePoints(kind="poses", pose=poses, group=group)
+            else:
+                of = JointPoints(
+                    kind="joints",
+                    position=rows(cast("Rows", points), "points"),
+                    velocity=None if velocities is None else rows(velocities, "velocities"),
+                )
+            chunk = ServoChunk(
+                goal_id=self.goal_id,
+                sequence=self._sequence,
+                stamp=stamp,
+                start=start,
+                observed=observed,
+                expiry=expiry,
+                dt=dt,
+                time=None if times is None else numbers(times, "times"),
+                points=of,
+                gripper=gripper,
+                opening=None if opening is None else numbers(opening, "opening"),
+            )
+        except ValidationError as error:
+            raise invalid("the chunk", error) from None
+        return self._connection.ask(self._connection.keys.servo_chunk, chunk, timeout=_CHUNK_SECONDS)
 
 
 class Jogging(_Session):

@@ -18,6 +18,7 @@ from zarm_contract.messages import (
     CancelRequest,
     CheckRequest,
     CheckResults,
+    ChunkAccepted,
     DriverCommand,
     DriverFault,
     DriverGripperCommand,
@@ -56,6 +57,7 @@ from zarm_contract.messages import (
     SceneEdit,
     SceneEdited,
     SceneObject,
+    ServoChunk,
     ServoEnd,
     ServoStart,
     ServoState,
@@ -277,7 +279,7 @@ class Keys:
         Accepted,
         "Move a gripper to an opening, and hold.",
         to="executor",
-        by=DRIVES,
+        by=(*DRIVES, "servo"),  # for the chunks that it follows
     )
     gripper_cancel = Query(
         "executor/gripper/cancel", GripperCancel, GripperState, "Stop a gripper where it is.", to="executor", by=DRIVES
@@ -305,6 +307,14 @@ class Keys:
         "servo/end", ServoEnd, Nothing, "Bring the robot to rest and end the session.", to="servo", by=DRIVES
     )
     servo_target = Topic("servo/target", ServoTarget, "The live target of the session.", by=DRIVES, realtime=True)
+    servo_chunk = Query(
+        "servo/chunk",
+        ServoChunk,
+        ChunkAccepted,
+        "The next piece of motion of the session, from a policy or a program.",
+        to="servo",
+        by=DRIVES,
+    )
     servo_state = Latched(
         "servo/state", ServoState, "What the servo does, and in which scene.", of="servo", recorded="changes"
     )

@@ -31,7 +31,9 @@ log = logging.getLogger(__name__)
 ANSWER = 0.2
 """Extra time (s) for an answer to arrive after the deadline of the request."""
 GONE = 1.5
-"""A planner that has not answered a request for a global plan this long (s) after its deadline counts as gone."""
+"""A planner that has not answered a request for a global plan this long (s) after its deadline counts as gone, and so does an executor
+that has not answered one for a gripper.
+"""
 SWITCH_INTERVAL = 0.0005
 """Longest time (s) for which a thread reading a message may hold the interpreter while a session's cycle waits
 (Python's default: 0.005).
@@ -63,7 +65,16 @@ def start(service: Service) -> Iterator[None]:
 
         chunks = command_bus.publisher(keys.stream)
         sessions = Sessions(
-            SessionConfig(service.robot, check, world, chunks, plan, service.metrics, lambda: guard.wake())
+            SessionConfig(
+                service.robot,
+                check,
+                world,
+                chunks,
+                plan,
+                lambda request: command_bus.call(keys.gripper, request, timeout=GONE),
+                service.metrics,
+                lambda: guard.wake(),
+            )
         )
         guard = Guard(
             service.robot.descriptor,
@@ -81,6 +92,7 @@ def start(service: Service) -> Iterator[None]:
         with world.reading(bus, keys), guard, replanner:
             bus.serve(keys.servo_start, sessions.start)
             bus.serve(keys.servo_end, sessions.end)
+            command_bus.serve(keys.servo_chunk, sessions.take, workers=1)
             bus.listen(keys.object_pose("*"), world.moving.receive)
             command_bus.listen(keys.servo_target, sessions.on_target)
             service.ready()

@@ -29,11 +29,13 @@ from zarm_contract.messages import (
     Cuboid,
     GoalState,
     GoalTrajectory,
+    JointPoints,
     JointState,
     ObjectPose,
     Plan,
     PlanRequest,
     Scene,
+    ServoChunk,
     ServoStart,
     ServoTarget,
     Sphere,
@@ -46,6 +48,7 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.metrics import Metrics
 from zarm_servo.guarding import guard as guard_module
 from zarm_servo.guarding.guard import Guard
+from zarm_servo.tracking import chunk_tracking as chunk_module
 from zarm_servo.tracking import session as session_module
 from zarm_servo.tracking.session import Session, SessionConfig
 from zarm_servo.world.check import Checker, SceneCheck
@@ -54,7 +57,7 @@ from zarm_trajectory.blending import blended
 from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = np.ndarray[Any, Any]
-Mode = Literal["goal", "session"]
+Mode = Literal["goal", "session", "chunks"]
 MODES: tuple[Mode, ...] = get_args(Mode)
 Outcome = Literal["contact", "hit", "free"]
 """`contact`: while the robot moved towards the object. `hit`: the object hit a robot that did not move towards it.
@@ -105,11 +108,16 @@ class Cell:
 
 @contextmanager
 def _clock() -> Iterator[SimpleNamespace]:
-    """The monotonic clock of guard and session, as `now`."""
+    """The clocks of guard and session, as `now` of the monotonic one."""
     clock = SimpleNamespace(now=100.0)
-    turned = SimpleNamespace(monotonic=lambda: clock.now, perf_counter=real_time.perf_counter, sleep=lambda _: None)
+    turned = SimpleNamespace(
+        monotonic=lambda: clock.now,
+        time=lambda: _UNIX + clock.now,
+        perf_counter=real_time.perf_counter,
+        sleep=lambda _: None,
+    )
     with pytest.MonkeyPatch.context() as patch:
-        for module in (guard_module, session_module):
+        for module in (guard_module, session_module, chunk_module):
             patch.setattr(module, "time", turned)
         yield clock
 
@@ -156,10 +164,10 @@ class _Run:
         self._longest = 6.0 if mode == "goal" else 3.0
         self._session: Session | None = None
         self._sequence = itertools.count(1)
-        if mode == "session":
+        if mode != "goal":
             chunks: Any = SimpleNamespace(put=lambda chunk: self._post(lambda: self._stream(chunk)))
             self._session = Session(
-                "servo-1", ServoStart(margin=0.01), SessionConfig(ROBOT, cell.check, self._world, chunks, _no_plan, Metrics(), lambda: None),
+                "servo-1", ServoStart(margin=0.01), SessionConfig(ROBOT, cell.check, self._world, chunks, _no_plan, lambda _: None, Metrics(), lambda: None),
                 start, 0.0,
             )  # fmt: skip
             self._session._put(0.0, TimedTrajectory.standing(start), deadline=1.0)
@@ -339,7 +347,10 @@ class _Run:
             if step % _LOOK == 0:
                 self._guard._check()
         elif step % _CYCLE == 0:
-            if step % 10 == 0:
+            if self._mode == "chunks":
+                if step % 16 == 0:  # 30 a second
+                    session.take(self._chunk())
+            elif step % 10 == 0:
                 target = JointTargetMessage(kind="joints", position=tuple(self._goal.tolist()))
                 message = ServoTarget(
                     goal_id="servo-1", sequence=next(self._sequence), stamp=self._time.now, target=target
@@ -347,3 +358,17 @@ class _Run:
                 session.inbox.receive(message, self._time.now)
             session._cycle(self._time.now)
             session._scene.catch_up()
+
+    def _chunk(self) -> ServoChunk:
+        """What a policy that sees no object plans: straight to the goal, at 1 rad/s."""
+        here = self._bench.arm.exact.position
+        way = self._goal - here
+        shares = np.minimum(np.arange(30) / 30 / max(float(np.abs(way).max()), 1e-6), 1.0)
+        rows = here + shares[:, None] * way
+        return ServoChunk(
+            goal_id="servo-1",
+            sequence=next(self._sequence),
+            stamp=_UNIX + self._time.now,
+            dt=1 / 30,
+            points=JointPoints(kind="joints", position=tuple(map(tuple, rows.tolist()))),
+        )

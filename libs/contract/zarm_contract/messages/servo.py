@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -10,7 +10,17 @@ from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
 from zarm_contract.messages.executor import Obstruction
 from zarm_contract.messages.goals import GroupName, PoseTolerance
-from zarm_contract.messages.motion import Joints, Name, NonNegative, Quaternion, Scale, SequenceNumber, Vector3
+from zarm_contract.messages.motion import (
+    Joints,
+    Name,
+    NonNegative,
+    Pose,
+    Positive,
+    Quaternion,
+    Scale,
+    SequenceNumber,
+    Vector3,
+)
 from zarm_contract.messages.scene import SceneRevision
 
 Limiting = Literal["free", "slowing", "blocked", "singularity", "joint_limit", "target_stale"]
@@ -94,10 +104,11 @@ class JointSpeedTarget(Message):
 
 
 class JointTarget(Message):
-    """Bring the joints to `position` (rad)."""
+    """Bring the joints to `position` (rad), which itself moves with `velocity` (rad/s), left out: as from the targets before to this one."""
 
     kind: Literal["joints"]
     position: Joints
+    velocity: Joints | None = None
 
 
 class ServoTarget(ShortMessage):
@@ -114,6 +125,78 @@ class ServoTarget(ShortMessage):
     target: Annotated[PoseTarget | TwistTarget | JointSpeedTarget | JointTarget, Field(discriminator="kind")]
 
 
+Points = Field(min_length=2, max_length=200)
+
+
+class JointPoints(Message):
+    """Positions of the joints (rad), and their velocities there (rad/s), left out: those of a cubic spline through the positions."""
+
+    kind: Literal["joints"]
+    position: Annotated[tuple[Joints, ...], Points]
+    velocity: Annotated[tuple[Joints, ...], Points] | None = None
+
+
+class PosePoints(Message):
+    """Poses of the tip in the base frame; with a `group` of the descriptor, of the tip of that group."""
+
+    kind: Literal["poses"]
+    pose: Annotated[tuple[Pose, ...], Points]
+    group: GroupName | None = None
+
+
+class ServoChunk(Message):
+    """The next piece of motion of the session `goal_id`: 2 to 200 points, `dt` (s) apart or at `time` (s), of which the first is meant for
+    `start`.
+
+    `start` (default: `stamp`), `stamp`, when the chunk was made, and `observed`, when what it was made from was seen, are Unix times (s), on a
+    clock that agrees with the servo's within 20 ms. `sequence` increases with every chunk of a session. The robot follows the chunk before until
+    `start`, then this one, on a bridge inside the limits of velocity, acceleration and jerk where the two do not meet. It brakes when the chunk
+    ends, or `expiry` (s) after `start` if that is earlier. `opening` (m) is that of the `gripper` at each point.
+    """
+
+    max_bytes: ClassVar[int] = 512 * 1024
+
+    goal_id: Name
+    sequence: SequenceNumber
+    stamp: float
+    start: float | None = None
+    observed: float | None = None
+    expiry: Positive | None = None
+    dt: Positive | None = None
+    time: Annotated[tuple[NonNegative, ...], Points] | None = None
+    points: Annotated[JointPoints | PosePoints, Field(discriminator="kind")]
+    gripper: Name | None = None
+    opening: Annotated[tuple[NonNegative, ...], Points] | None = None
+
+
+class Clipped(Message):
+    """A chunk asks more of a joint than its limit allows, by `excess`: rad, rad/s, rad/s^2 or rad/s^3. The robot does as much as it can."""
+
+    joint: str
+    quantity: Literal["position", "velocity", "acceleration", "jerk"]
+    excess: NonNegative
+
+
+class ChunkAccepted(Message):
+    """The chunk will be followed.
+
+    It came `late` (s) after its start, `lost` chunks are missing before it, and it leads `jump` (rad, of the joint that jumps most) away from where
+    the robot would have been. `observation_age` (s) is how old what it was made from was. The rest tells how the motion goes so far: `limiting`,
+    `link`, `object` and `distance` as in `ServoSession`, and `lag` (s), by which the measured robot is behind the chunks, left out at rest.
+    """
+
+    late: NonNegative = 0.0
+    lost: Annotated[int, Field(ge=0)] = 0
+    jump: NonNegative = 0.0
+    clipped: tuple[Clipped, ...] = ()
+    observation_age: float | None = None
+    limiting: Limiting
+    link: str | None = None
+    object: str | None = None
+    distance: float | None = None
+    lag: float | None = None
+
+
 class ServoSession(Message):
     """The open session: the goal `goal_id` of the executor, and what limits the robot now.
 
@@ -122,7 +205,8 @@ class ServoSession(Message):
     pose (m, rad) or joint positions (rad, the worst joint). `sequence` is that of the newest target, which came `target_age` (s)
     ago; `refused` says, for 1 s at least, why a target was not taken. Of its `cycles` the `late_cycles` began more than 2 ms late;
     `computing` (s) is how long 99 of the last 100 took at most. `planned`: it follows a global plan of the planner, because a
-    straight way is blocked. `unreachable` says why the planner knows no way to the target; the robot goes as near as it can.
+    straight way is blocked. `unreachable` says why the planner knows no way to the target; the robot goes as near as it can. While it follows
+    chunks, `chunk` is the number of the newest, and `lag` (s) that by which the measured robot is behind them, left out at rest.
     """
 
     goal_id: Name
@@ -143,6 +227,8 @@ class ServoSession(Message):
     computing: NonNegative = 0.0
     planned: bool = False
     unreachable: Problem | None = None
+    chunk: Annotated[int, Field(ge=0)] = 0
+    lag: float | None = None
 
 
 class ServoState(ShortMessage):

@@ -164,11 +164,15 @@ def bounded(
 @brief
 def braked(state: Array, wanted: Array, limits: JointLimits) -> Braking:
     """One period from a `state` (3, J) towards the velocities `wanted` (J,), and the braking from there."""
-    joints = state.shape[1]
-    still = np.zeros(joints)
     begins, states, jerks = phases(wanted, state, limits.acceleration, limits.jerk)
-    after = sampled(begins, states, jerks, np.full(1, PERIOD))[:, 0].copy()
-    begins, states, jerks = phases(still, after, limits.acceleration, limits.jerk)
+    return braked_after(state, sampled(begins, states, jerks, np.full(1, PERIOD))[:, 0].copy(), limits)
+
+
+@brief
+def braked_after(state: Array, after: Array, limits: JointLimits) -> Braking:
+    """One period from a `state` (3, J) to the one `after` it (3, J), and the braking from there."""
+    joints = state.shape[1]
+    begins, states, jerks = phases(np.zeros(joints), after, limits.acceleration, limits.jerk)
     duration = begins[3].max()
     interval = min(max(duration / _SAMPLES, PERIOD), _SAMPLE)
     count = math.ceil(duration / interval)
@@ -184,6 +188,20 @@ def braked(state: Array, wanted: Array, limits: JointLimits) -> Braking:
         for j in range(joints):
             inside = inside and limits.lower[j] <= positions[k, j] <= limits.upper[j]
     return Braking(after, begins, states, jerks, times, positions, inside)
+
+
+@kernel
+def free_after(
+    situation: SituationArrays, state: Array, after: Array, limits: JointLimits, margin: float
+) -> tuple[Braking, int, int, int]:
+    """One period from a `state` (3, J) to the one `after` it (3, J) and the braking from there; why that is not free
+    (FREE if it is), and the part and what it comes too close to if that is BLOCKED.
+    """
+    motion = braked_after(state, after, limits)
+    if not motion.inside:
+        return motion, JOINT_LIMIT, 0, 0
+    until, part, other = contact(situation, motion.times, motion.positions, limits.acceleration, margin)
+    return motion, FREE if until == motion.times.shape[0] - 1 else BLOCKED, part, other
 
 
 @kernel

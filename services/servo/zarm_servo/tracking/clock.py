@@ -1,4 +1,6 @@
-"""Estimates how far the executor has commanded a stream, from a state published about ten times a second."""
+"""When the steps of a stream are commanded: an estimate of how far the executor is, from a state published about ten times a second,
+and even times for steps that follow a chunk.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +12,32 @@ _AGE, _OLDEST = 0.02, 0.12
 """Usual and greatest age (s) of a goal state when it arrives."""
 _NEARER = 0.1
 """Share of the deviation corrected with each state, so that the clock recovers after the executor was delayed."""
+
+
+_UNEVEN = 0.002
+"""An estimate that is off by more than this (s) is believed at once; until then, steps are a period apart."""
+_LEARNT = 0.03
+"""Share of a measured lag that is made up for at once."""
+_LARGEST_LAG = 0.05
+"""No more (s) is made up for."""
+
+
+class StepTimes:
+    """The times for which steps are meant, without the jitter of the estimates."""
+
+    def __init__(self) -> None:
+        self._last, self._lag = float("-inf"), 0.0
+
+    def learn(self, lag: float) -> None:
+        """The robot was measured so long (s) behind the time that a step was meant for."""
+        self._lag = min(max(self._lag + _LEARNT * lag, -_LARGEST_LAG), _LARGEST_LAG)
+
+    def next(self, period: float, estimate: float) -> float:
+        """The time (s) of the next step, which is a `period` (s) after the one before unless the `estimate` is far from it."""
+        self._last += period
+        if abs(self._last - estimate - self._lag) > _UNEVEN:
+            self._last = estimate + self._lag
+        return self._last
 
 
 class StreamClock:

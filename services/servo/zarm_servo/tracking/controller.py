@@ -27,6 +27,7 @@ from zarm_servo.kernels.step import (
     bounded,
     braked,
     first_free,
+    free_after,
 )
 from zarm_servo.tracking.speed_change import SpeedChange
 from zarm_servo.tracking.targets import Target, wish
@@ -118,6 +119,18 @@ class Controller:
             self.state, self._braked = motion.after, 0.0
             self._braking = SpeedChange(motion.begins, motion.states, motion.jerks)
         return Step(self.state, self._braking, self._braked, obstruction or limitation)
+
+    def follow(self, after: Array, around: Surroundings = Surroundings()) -> Step | None:
+        """One step along a given motion inside the joints' limits, to the state `after` this one (3, J); None, and nothing changes, if that
+        or the braking from there is not free.
+        """
+        situation = self._check.situation(around.attached, around.ignored_links, around.moving, around.openings)
+        motion, limiting, _, _ = free_after(situation.arrays, self.state, after, self._limits, self._margin)
+        if limiting != FREE:
+            return None
+        self.state, self._braked, self._leaving = motion.after, 0.0, False
+        self._braking = SpeedChange(motion.begins, motion.states, motion.jerks)
+        return Step(self.state, self._braking, 0.0, Limitation("free"))
 
     def _to_rest(self, state: Array) -> SpeedChange:
         return SpeedChange.to(np.zeros(state.shape[1]), state, self._limits.acceleration, self._limits.jerk)

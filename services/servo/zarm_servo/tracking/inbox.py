@@ -13,6 +13,7 @@ from zarm_contract.robot import RobotDescription
 from zarm_geometry.frames import matrix
 from zarm_servo.refusal import Refusal
 from zarm_servo.tracking.controller import STALE
+from zarm_servo.tracking.joint_stream import JointStream
 from zarm_servo.tracking.targets import JointSpeedTarget, JointTarget, PoseTarget, Target, TwistTarget
 from zarm_trajectory.quintic import Array
 
@@ -44,6 +45,7 @@ class Inbox:
         self._arrived = self._under_way = 0.0
         self._least: float | None = None
         self._odd: tuple[m.ServoTarget, float] | None = None  # refused last for its number or stamp, and when it came
+        self._stream = JointStream(robot)
         self._refusal = Refusal()
 
     @property
@@ -98,6 +100,10 @@ class Inbox:
             and reported.linear is reported.angular is None
         ):
             target = _moving(self._target, target, passed)
+        if isinstance(target, JointTarget) and isinstance(reported, m.JointTarget) and reported.velocity is None:
+            target = self._stream.moving(message.stamp, target.position)
+        else:
+            self._stream.clear()
         self._message, self._target, self._least = message, target, least
         self._arrived, self._under_way = now, under_way
         self._odd = None
@@ -143,7 +149,10 @@ class Inbox:
             case m.JointSpeedTarget() as reported:
                 return JointSpeedTarget(self._of_joints(reported.velocity, "target.velocity"))
             case m.JointTarget() as reported:
-                return JointTarget(self._of_joints(reported.position, "target.position"))
+                position = self._of_joints(reported.position, "target.position")
+                if reported.velocity is None:
+                    return JointTarget(position, np.zeros_like(position))
+                return JointTarget(position, self._of_joints(reported.velocity, "target.velocity"))
 
     def _of_joints(self, values: tuple[float, ...], field: str) -> Array:
         if len(values) != self._joints:
@@ -192,4 +201,8 @@ def _moving(before: Target | None, target: PoseTarget, passed: float | None) -> 
 
 def ahead(target: Target, seconds: float) -> Target:
     """The target `seconds` later."""
-    return replace(target, pose=target.after(seconds)) if isinstance(target, PoseTarget) else target
+    if isinstance(target, PoseTarget):
+        return replace(target, pose=target.after(seconds))
+    if isinstance(target, JointTarget):
+        return target.after(seconds)
+    return target

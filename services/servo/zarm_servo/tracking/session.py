@@ -15,10 +15,12 @@ import numpy as np
 
 from zarm_contract.errors import Busy, Unavailable, from_problem
 from zarm_contract.messages import (
+    ChunkAccepted,
     ExecutorState,
     GoalState,
     GoalTrajectory,
     SceneRevision,
+    ServoChunk,
     ServoSession,
     ServoStart,
     StreamChunk,
@@ -29,9 +31,11 @@ from zarm_runtime.bus import Publisher
 from zarm_runtime.metrics import Metrics
 from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_servo.kernels.step import PERIOD
+from zarm_servo.tracking.chunk_tracking import ChunkTracking
 from zarm_servo.tracking.clock import StreamClock
-from zarm_servo.tracking.controller import STALE, Controller, Limitation
+from zarm_servo.tracking.controller import STALE, Controller, Limitation, Step, Surroundings
 from zarm_servo.tracking.global_plan import PlanFor, find_global_plan
+from zarm_servo.tracking.grip_follower import GripFollower, MoveGripper
 from zarm_servo.tracking.inbox import Inbox, ahead
 from zarm_servo.tracking.local_goal import LocalGoal
 from zarm_servo.tracking.session_scene import SessionScene
@@ -106,7 +110,7 @@ class SessionConfig:
     """What all sessions of a robot share.
 
     The open session owns `check`. It calls `changed()` when what limits it changes, and asks the planner through `plan`
-    when the controller is stuck.
+    when the controller is stuck, and moves grippers by `move_gripper`.
     """
 
     robot: RobotDescription
@@ -114,6 +118,7 @@ class SessionConfig:
     world: WorldMonitor
     chunks: Publisher[StreamChunk]
     plan: PlanFor
+    move_gripper: MoveGripper
     metrics: Metrics
     changed: Callable[[], object]
 
@@ -146,6 +151,10 @@ class Session:
             initializer=ask_for_realtime,  # else a thread that a cycle starts has the priority of the cycles
             initargs=(PROCESS_PRIORITY,),
         )
+        grip = GripFollower(
+            config.move_gripper, self._pool, lambda problem: self.inbox.refuse(problem, time.monotonic())
+        )
+        self._chunk_tracking = ChunkTracking(self._model, limits, self._controller, grip, self._measured.get)
         find = partial(find_global_plan, config.plan, self._joints, request.margin)
         self._local_goal = LocalGoal(self._model, find, partial(self._scene.is_free, margin=request.margin), self._pool)
         self._streamed = StreamedTrajectory(0.0, self._controller.state, self._controller.braking)
@@ -249,6 +258,8 @@ class Session:
             cycles=self._cycles,
             late_cycles=self._late,
             computing=float(np.percentile(took, 99)) if took else 0.0,
+            chunk=self._chunk_tracking.sequence,
+            lag=self._chunk_tracking.lag(),
             **self._errors(snapshot, position),
         )
 
@@ -269,6 +280,10 @@ class Session:
         if measured is None or set(measured.joint_names) != set(self._joints):
             return np.asarray(self._controller.state[0])
         return np.array([measured.position[measured.joint_names.index(joint)] for joint in self._joints])
+
+    def take(self, chunk: ServoChunk) -> ChunkAccepted:
+        """Take a chunk. Raises InvalidRequest, see `ChunkInbox.receive`."""
+        return self._chunk_tracking.take(chunk, self._snapshot.limitation)
 
     # -- the thread --
 
@@ -305,7 +320,7 @@ class Session:
     def _cycle(self, now: float) -> None:
         self._scene.look(now)
         target, age = self.inbox.newest(now)
-        if target is not None and age is not None and age <= STALE:
+        if self._chunk_tracking.active(now) or (target is not None and age is not None and age <= STALE):
             self._used = now
         elif now - self._used > _IDLE_TIMEOUT:
             log.info("the session ends, no targets arrive seconds=%g goal_id=%s", _IDLE_TIMEOUT, self.goal_id)
@@ -316,6 +331,7 @@ class Session:
             self._step(None if self._closing else target, age, max(self._coming(now), 0.0))
         if self._streamed.pending >= CHUNK or now - self._sent_at > _LONGEST_CHUNK_PERIOD:
             self._put(*self._streamed.chunk())
+            self._chunk_tracking.learn_lag()
 
     def _coming(self, now: float) -> float:
         """In how long (s) from `now` on the next step is commanded."""
@@ -341,11 +357,14 @@ class Session:
         return True
 
     def _step(self, target: Target | None, age: float | None, coming: float) -> None:
-        fresh = target is not None and age is not None and age <= STALE
-        wanted = ahead(target, coming) if target is not None and fresh else None
-        wanted = self._local_goal.target(wanted, self._controller.state[0], self._scene.revision)
-        around = self._scene.around(time.monotonic(), coming + self._delay, self._clock.scale)
-        step = self._controller.step(wanted, age or 0.0, around)
+        now, scale = time.monotonic(), self._clock.scale
+        around = self._scene.around(now, coming + self._delay, scale)
+        step = None
+        if not self._closing:
+            expected = now + coming / scale + self._delay
+            step = self._chunk_tracking.step(expected, 1.0 / scale, around, self._snapshot.limitation)
+        if step is None:
+            step = self._towards(target, age, coming, around)
         self._streamed.add(step)
         before = self._snapshot.limitation
         moving = bool(np.abs(step.state[1]).max() > _MOVING_SPEED)
@@ -357,6 +376,13 @@ class Session:
         ) and now - self._reported_at > _REPORT_PERIOD:
             self._reported_at = now
             self._changed()
+
+    def _towards(self, target: Target | None, age: float | None, coming: float, around: Surroundings) -> Step:
+        """A step towards a live target, or to rest."""
+        fresh = target is not None and age is not None and age <= STALE
+        wanted = ahead(target, coming) if target is not None and fresh else None
+        wanted = self._local_goal.target(wanted, self._controller.state[0], self._scene.revision)
+        return self._controller.step(wanted, age or 0.0, around)
 
     def _put(
         self, start: float, trajectory: TimedTrajectory, *, deadline: float = DEADLINE, last: bool = False

@@ -14,10 +14,12 @@ from zarm_contract.codec import decode
 from zarm_contract.errors import Busy, ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.messages import (
     Accepted,
+    ChunkAccepted,
     ExecutorState,
     GoalState,
     GoalTrajectory,
     Nothing,
+    ServoChunk,
     ServoEnd,
     ServoStart,
     ServoTarget,
@@ -99,6 +101,15 @@ class Sessions:
             return
         if message.goal_id == session.goal_id:
             session.inbox.receive(message, now)
+
+    def take(self, chunk: ServoChunk) -> ChunkAccepted:
+        """Take a chunk of the open session. Raises Unavailable if that is another one, and InvalidRequest as `Session.take`."""
+        session = self._open()
+        if session is None or session.goal_id != chunk.goal_id:
+            raise Unavailable(
+                f"the session {chunk.goal_id} is not open; start one (servo/start), and send it chunks while it runs"
+            )
+        return session.take(chunk)
 
     def _on_trajectory(self, message: GoalTrajectory) -> None:
         session = self._session

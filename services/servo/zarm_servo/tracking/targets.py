@@ -109,9 +109,18 @@ class JointSpeedTarget:
 
 @dataclass(frozen=True)
 class JointTarget:
-    """Bring the joints to `position` (J,) in rad, continuous ones the short way."""
+    """Bring the joints to `position` (J,) in rad, continuous ones the short way; they move on with `velocity` (J,) in rad/s and
+    `acceleration` (J,) in rad/s^2.
+    """
 
     position: Array
+    velocity: Array = field(default_factory=lambda: np.zeros(1))
+    acceleration: Array = field(default_factory=lambda: np.zeros(1))
+
+    def after(self, passed: float) -> Self:
+        """The same target, `passed` s later."""
+        velocity = self.velocity + passed * self.acceleration
+        return replace(self, position=self.position + passed * (self.velocity + velocity) / 2, velocity=velocity)
 
     def distance(self, model: RobotModel, position: Array) -> Array:
         """How far (J,) in rad the joints at `position` (J,) have to go."""
@@ -142,7 +151,8 @@ def wish(model: RobotModel, target: Target, age: float, position: Array, speed: 
     if isinstance(target, JointSpeedTarget):
         return Wish(within_speed(target.velocity, speed), np.eye(model.dof), (math.inf, np.zeros(model.dof)))
     if isinstance(target, JointTarget):
-        velocity = within_speed(_approach(target.distance(model, position), acceleration), speed)
+        now = target.after(age)
+        velocity = within_speed(approach(now.distance(model, position), acceleration) + now.velocity, speed)
         return Wish(velocity, np.eye(model.dof), (math.inf, np.zeros(model.dof)))
     held = target.held(target.after(age)) if isinstance(target, PoseTarget) else np.eye(6)
     whole = model.tip_jacobian(position, target.group)
@@ -156,7 +166,7 @@ def wish(model: RobotModel, target: Target, age: float, position: Array, speed: 
         velocity = inverse @ twist
     else:
         error = held @ target.error(model.fk_tip(position, target.group), target.after(age))
-        velocity = _approach(inverse @ error, acceleration) + inverse @ (held @ target.velocity)
+        velocity = approach(inverse @ error, acceleration) + inverse @ (held @ target.velocity)
     return Wish(
         max(near, _SLOWEST) * within_speed(velocity, speed),
         _inverse_metric(values, v),
@@ -165,7 +175,7 @@ def wish(model: RobotModel, target: Target, age: float, position: Array, speed: 
     )
 
 
-def _approach(distance: Array, acceleration: Array) -> Array:
+def approach(distance: Array, acceleration: Array) -> Array:
     """Joint speeds (J,) that close a distance (J,) along a straight line and brake in time."""
     with np.errstate(divide="ignore"):
         rate = np.sqrt(2 * _BRAKING * acceleration / np.abs(distance)).min()
