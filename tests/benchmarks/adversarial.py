@@ -1,7 +1,7 @@
 """Whether a robot ever moves into what moves: `python tests/benchmarks/adversarial.py [--count 10000] [--seed 0]`.
 
-Objects come at an M1013 at up to their stated speed (up to 1 m/s), turn around, wait and dash, while it executes a goal or follows a
-target, in turns; in 3 of 10 runs the servo dies at a random moment. Poses come 20 to 100 times a second, up to 30 ms late, on a clock
+Objects come at an M1013 at up to their stated speed (up to 1 m/s), turn around, wait and dash, while it executes a goal, follows a
+target or chunks of a policy, in turns; in 3 of 10 runs the servo dies at a random moment. Poses come 20 to 100 times a second, up to 30 ms late, on a clock
 that is up to 18 ms off. Guard, session, controller and the executor's state machine are those of the product, in this process, with
 a clock that is turned by hand and an arm that follows exactly; python-fcl looks every 10 ms whether there is contact.
 

@@ -239,6 +239,17 @@ def test_a_tracked_target_beside_a_pin_is_reached_with_closed_fingers_alone(cell
         assert not any(collisions.at(q) for q in passed)
 
 
+def test_a_chunk_moves_the_gripper_too(cell: Cell) -> None:
+    cell.home()
+    cell.robot.gripper.open()
+    opening = np.linspace(0.08, 0.02, 20)
+    with cell.robot.track(chunks=True) as tracking:
+        tracking.follow(np.tile(HOME, (20, 1)), dt=0.05, gripper="hand", opening=opening)
+        eventually(lambda: abs(cell.robot.gripper.state().width - 0.02) < 0.003, "it closes to where the chunk ends")
+        with pytest.raises(zarm.InvalidRequest, match=r"opening\[1\]"):
+            tracking.follow(np.tile(HOME, (2, 1)), dt=0.05, gripper="hand", opening=(0.02, 0.5))
+
+
 def picking(width: float, **grip: float) -> list[object]:
     """A program: over there with an open gripper, close it to a width, back, and open it."""
     return [

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,8 +26,18 @@ from support.planner.client import load
 from support.tiers import sampled
 from support.trajectories import HOME, KEYS, ROBOT
 from zarm.servoing import PERIOD, Jogging
-from zarm_contract.errors import Busy, DeadlineExceeded, from_problem
-from zarm_contract.messages import Cuboid, SceneObject, ServoSession, ServoStart, Sphere, StreamChunk
+from zarm_contract.errors import Busy, DeadlineExceeded, Unavailable, from_problem
+from zarm_contract.messages import (
+    ChunkAccepted,
+    Cuboid,
+    JointPoints,
+    SceneObject,
+    ServoChunk,
+    ServoSession,
+    ServoStart,
+    Sphere,
+    StreamChunk,
+)
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
@@ -239,6 +250,74 @@ def test_a_target_that_cannot_be_is_refused_by_field_and_moves_nothing(cell: Cel
 
         assert eventually(refused, "the target is refused").endswith(problem)
     assert cell.client.stands()
+
+
+def swing(times: np.ndarray) -> np.ndarray:
+    """The first joint swings by 0.2 rad about HOME, from rest at 0 s."""
+    return HOME + 0.2 * (1.0 - np.cos(times))[:, None] * np.eye(6)[0]
+
+
+def follow_swing(cell: Cell, seconds: float, tracking: zarm.ChunkTracking) -> list[ChunkAccepted]:
+    """Send a chunk of the swing 20 times a second; the answers."""
+    answers, begun = [], time.time()
+    while time.time() < begun + seconds:
+        now = time.time()
+        answers.append(tracking.follow(swing(now - begun + np.arange(20) / 20), dt=1 / 20, start=now))
+        time.sleep(1 / 20)
+    return answers
+
+
+def test_chunks_lead_the_robot_and_when_they_end_it_rests(cell: Cell) -> None:
+    with cell.robot.track(chunks=True) as tracking:
+        answers = follow_swing(cell, 3.0, tracking)
+        assert {answer.limiting for answer in answers} <= {"free", "target_stale"}
+        assert answers[-1].clipped == ()
+        eventually(lambda: cell.client.stands(), "the robot rests when no more come")
+    positions = np.array([state.position for state in cell.client.measured])
+    assert np.ptp(positions[:, 0]) > 0.3
+    assert np.ptp(positions[:, 1:], axis=0).max() < 2e-3
+    cell.assert_sound()
+
+
+def test_what_is_in_the_way_of_chunks_is_named_in_the_answers_and_kept_away_from(cell: Cell) -> None:
+    x, y, z = MODEL.fk_tip(swing(np.array([1.8]))[0])[:3, 3].tolist()
+    ball = Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.05)
+    load(cell.bus, ball)
+    with cell.robot.track(chunks=True) as tracking:
+        answers = follow_swing(cell, 2.5, tracking)
+    assert "ball" in {answer.object for answer in answers}
+    cell.assert_sound(ball)
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"start": 1e12}, "start"),
+        ({"dt": float("nan")}, "dt"),
+        ({"points": np.full((5, 6), 3.0)}, "points"),
+        ({"points": np.zeros((5, 5))}, "points.position[0]"),
+        ({"times": (0.0, 0.1)}, "dt"),
+        ({"gripper": "hand", "opening": (0.0,) * 5}, "gripper"),
+    ],
+)
+def test_a_chunk_that_cannot_be_followed_is_refused_by_field(cell: Cell, change: dict[str, Any], field: str) -> None:
+    with cell.robot.track(chunks=True) as tracking:
+        with pytest.raises(zarm.InvalidRequest) as refused:
+            tracking.follow(**({"points": np.tile(HOME, (5, 1)), "dt": 0.1} | change))
+        assert refused.value.problem.field == field
+        tracking.follow(np.tile(HOME, (5, 1)), dt=0.1)
+    assert cell.client.stands()
+
+
+def test_chunks_of_a_session_that_is_not_open_are_refused(cell: Cell) -> None:
+    with cell.robot.track(chunks=True) as tracking:
+        pass
+    with pytest.raises(Unavailable, match="has ended"):
+        tracking.follow(np.tile(HOME, (5, 1)), dt=0.1)
+    points = JointPoints(kind="joints", position=(tuple(HOME),) * 2)
+    chunk = ServoChunk(goal_id=tracking.goal_id, sequence=1, stamp=time.time(), dt=0.1, points=points)
+    with pytest.raises(Unavailable, match=tracking.goal_id):
+        cell.bus.call(KEYS.servo_chunk, chunk, timeout=PATIENCE)
 
 
 def test_targets_out_of_order_and_a_clock_that_was_set_back_are_refused_by_field(cell: Cell) -> None:

@@ -16,6 +16,7 @@ from nav_msgs.msg import Path
 from rcl_interfaces.msg import Log
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Int8, String
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker
 
 from curobo_msgs.action import MpcMove
@@ -25,10 +26,11 @@ from support.ros.goals import ABORTED, CANCELED, SUCCEEDED, Actions, Robot, Sent
 from support.ros.node import destroyed
 from support.ros.stack import KEYS, Stack, stack
 from support.tiers import sampled
-from support.trajectories import patient
+from support.trajectories import ROBOT, patient
 from zarm_contract.messages import CancelRequest, FkRequest
 from zarm_ros_bridge.convert.poses import ros_pose
 from zarm_ros_bridge.convert.servo_commands import INVALID, NO_WARNING
+from zarm_ros_bridge.convert.times import ros_duration, ros_time
 from zarm_ros_bridge.servo_commands import RELEASE_SECONDS
 
 MPC, RETARGET, CLASSIC = 1, 6, 0
@@ -274,6 +276,25 @@ def test_joint_speeds_and_poses_move_the_robot(arm: Arm) -> None:
     with arm.commanding("pose_target_cmds", PoseStamped(pose=there)):
         eventually(lambda: arm.away_from(there) < 0.003, "the tip is at the pose")
     assert np.allclose(before[1:3], arm.robot.joints()[1:3], atol=0.2)
+
+
+def test_a_trajectory_of_a_policy_is_followed_when_it_says_so(arm: Arm) -> None:
+    before, names = arm.robot.joints(), list(ROBOT.descriptor.joints)
+    chunk = JointTrajectory(joint_names=names[::-1])
+    chunk.header.stamp = ros_time(time.time() + 1.0)
+    for k in range(20):
+        turned = [before[0] + 0.15 * (1.0 - np.cos(np.pi * k / 19)) / 2, *before[1:]]
+        chunk.points.append(JointTrajectoryPoint(positions=turned[::-1], time_from_start=ros_duration(k * 0.1)))
+    with arm.commanding("joint_trajectory_cmds", chunk):
+        eventually(lambda: abs(arm.robot.joints()[0] - before[0] - 0.15) < 0.003, "joint_1 is where the chunk ends")
+    assert np.allclose(before[1:], arm.robot.joints()[1:], atol=1e-3)
+
+
+def test_a_trajectory_of_other_joints_is_refused_in_the_status(arm: Arm) -> None:
+    texts = arm.texts
+    with arm.commanding("joint_trajectory_cmds", JointTrajectory(joint_names=["elbow"])):
+        eventually(lambda: any("joint_names" in report.data for report in texts), "the joints are refused")
+    assert arm.robot.rests()
 
 
 def test_commands_that_are_none_are_refused_in_the_status(arm: Arm) -> None:

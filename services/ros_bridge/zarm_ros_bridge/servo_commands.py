@@ -1,4 +1,4 @@
-"""Topics of MoveIt Servo: twists, poses and joint speeds in, status out."""
+"""Topics of MoveIt Servo: twists, poses and joint speeds in, and trajectories of policies; status out."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Int8, String
+from trajectory_msgs.msg import JointTrajectory
 
-from zarm.servoing import Jogging, Tracking, limited
+from zarm.servoing import ChunkTracking, Jogging, Tracking, limited
 from zarm_contract.descriptor import RobotDescriptor
-from zarm_contract.errors import Cancelled, ZarmError
+from zarm_contract.errors import Cancelled, InvalidRequest, ZarmError
 from zarm_contract.messages import ServoSession
 from zarm_ros_bridge.convert.servo_commands import (
     INVALID,
@@ -28,7 +29,9 @@ from zarm_ros_bridge.convert.servo_commands import (
     STATUS,
     LookUp,
     Send,
+    chunk_of,
     joint_speed_of,
+    lasting,
     target_of,
     twist_of,
 )
@@ -52,16 +55,18 @@ _FORGOTTEN = 10.0
 _DRIFT = 1e-3  # two clocks drift by less than this (s per s)
 
 Read = Callable[[Any, RobotDescriptor, LookUp], Send]
-Opens = Callable[..., AbstractContextManager[Tracking] | AbstractContextManager[Jogging]]
+Session = Tracking | ChunkTracking | Jogging
+Opens = Callable[..., AbstractContextManager[Any]]
 
 
 @dataclass(frozen=True)
 class _Command:
-    """A message on `topic` at `time` (s, monotonic)."""
+    """A message on `topic` at `time` (s, monotonic), which leads the robot for the next `lasts` s."""
 
     topic: str
     time: float
     send: Send
+    lasts: float = 0.0
 
 
 class Punctuality:
@@ -84,7 +89,7 @@ class Punctuality:
 
 
 class ServoCommands:
-    """Jogs and tracks by commands on three topics, in one servo session at a time. Use it in `with`.
+    """Jogs and tracks by commands on four topics, in one servo session at a time. Use it in `with`.
 
     The first command on a topic opens a session, which belongs to that topic until it pauses.
     """
@@ -109,9 +114,11 @@ class ServoCommands:
             (ros, "delta_joint_cmds", JointJog, joint_speed_of, client.jog),
             (other, "delta_joint_cmds", JointState, joint_speed_of, client.jog),
             (ros, "pose_target_cmds", PoseStamped, target_of, client.track),
+            (ros, "joint_trajectory_cmds", JointTrajectory, chunk_of, lambda: client.track(chunks=True)),
         ):
             self._opens[topic] = opens
-            on_command = partial(self.take, topic, read, Punctuality())
+            punctuality = None if kind is JointTrajectory else Punctuality()  # a chunk says itself what it is meant for
+            on_command = partial(self.take, topic, read, punctuality)
             listener.listen(kind, ros.node.resolve_topic_name(f"~/{topic}"), on_command, COMMANDS)
         self._thread = threading.Thread(target=self._run, name="servo commands")
 
@@ -129,14 +136,15 @@ class ServoCommands:
 
     # -- in the thread that listens --
 
-    def take(self, topic: str, read: Read, punctuality: Punctuality, message: Any) -> None:
+    def take(self, topic: str, read: Read, punctuality: Punctuality | None, message: Any) -> None:
         """A command as if it came on this topic; returns quickly."""
         now, stamp = time.monotonic(), message.header.stamp
-        if punctuality.late(stamp.sec + stamp.nanosec / NANOSECONDS, now):
+        if punctuality is not None and punctuality.late(stamp.sec + stamp.nanosec / NANOSECONDS, now):
             self._refuse(f"a message on {topic} came more than {STALE:g} s late; find out what delays it")
             return
         try:
-            command = _Command(topic, now, read(message, self._engine.robot.descriptor, self._look_up))
+            send = read(message, self._engine.robot.descriptor, self._look_up)
+            command = _Command(topic, now, send, lasting(message))
         except ZarmError as error:
             self._refuse(f"{topic}: {error}")
             return
@@ -163,7 +171,7 @@ class ServoCommands:
             else:
                 self._report(NO_WARNING, "no commands")
 
-    def _follow(self, session: Tracking | Jogging, command: _Command) -> None:
+    def _follow(self, session: Session, command: _Command) -> None:
         """Pass on the commands of one topic until they pause and others come, or none have come for SESSION_SECONDS.
 
         Raises the session's error.
@@ -173,8 +181,11 @@ class ServoCommands:
         while not self._ended and session.running:
             now = time.monotonic()
             if newest is not None and now - newest.time < STALE:
-                newest.send(session)
-                last = newest.time
+                try:
+                    newest.send(session)
+                except InvalidRequest as error:  # the robot goes on by the commands before
+                    self._refuse(f"{topic}: {error}")
+                last = newest.time + newest.lasts
             self._report_of(session.state)
             if now - last > SESSION_SECONDS or (now - last > STALE and self._others(topic)):
                 return

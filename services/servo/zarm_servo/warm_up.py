@@ -17,6 +17,7 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.kernels.nearest import nearest_time
 from zarm_servo.tracking.controller import Controller
+from zarm_servo.tracking.receding_horizon import LONGEST, nearest_motion
 from zarm_servo.tracking.targets import TwistTarget
 from zarm_servo.world.check import Checker, SceneCheck
 from zarm_servo.world.moving_objects import Mover
@@ -44,7 +45,9 @@ def warm_up(checker: Checker, check: SceneCheck, report: Callable[[str], None]) 
     for item in (box, cell, tip):
         check.load({item.name: item})
         controller.step(TwistTarget(np.zeros(6)), 0.0).braking.at(0.0)
+        controller.follow(controller.state)
     check.load({})
+    nearest_motion(controller.state, np.tile(home, (LONGEST, 1)), Limits.of(model.robot))
 
 
 def main() -> int:

@@ -8,8 +8,9 @@ from typing import Any, Literal
 import numpy as np
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from numpy.typing import NDArray
+from trajectory_msgs.msg import JointTrajectory
 
-from zarm.servoing import Jogging, Tracking
+from zarm.servoing import ChunkTracking, Jogging, Tracking
 from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Vector3
@@ -19,6 +20,7 @@ from zarm_geometry.frames import pose_of as placed_at
 from zarm_ros_bridge.convert.fields import finite
 from zarm_ros_bridge.convert.joints import known_as
 from zarm_ros_bridge.convert.poses import pose_of
+from zarm_ros_bridge.convert.times import NANOSECONDS
 
 Send = Callable[[Any], None]
 """Sends a target to a session, Tracking or Jogging."""
@@ -96,6 +98,51 @@ def joint_speed_of(message: Any, robot: RobotDescriptor, _: LookUp) -> Send:
         session.joint_speed(velocity)
 
     return send
+
+
+def chunk_of(message: JointTrajectory, robot: RobotDescriptor, _: LookUp) -> Send:
+    """A chunk of positions (rad), with velocities (rad/s) where every point has them. The stamp of the header is when it begins; 0 means now.
+
+    Raises InvalidRequest for other joints than all of the robot's, and for values that are not finite.
+    """
+    joints, points = robot.joints, message.points
+    names = [known_as(name, joints) for name in message.joint_names]
+    if sorted(names) != sorted(joints):
+        raise InvalidRequest(
+            f"{', '.join(message.joint_names) or 'no joint'}; name each of {', '.join(joints)} once",
+            field="joint_names",
+        )
+    order = [names.index(joint) for joint in joints]
+
+    def rows(kind: str) -> list[list[float]]:
+        found = []
+        for i, point in enumerate(points):
+            values = getattr(point, kind)
+            if len(values) != len(names):
+                raise InvalidRequest(f"{len(values)} values for {len(names)} joints", field=f"points[{i}].{kind}")
+            found.append([finite(values[k], f"points[{i}].{kind}[{k}]") for k in order])
+        return found
+
+    positions = rows("positions")
+    velocities = rows("velocities") if points and all(len(point.velocities) for point in points) else None
+    times = [_seconds(point.time_from_start) for point in points]
+    begins = _seconds(message.header.stamp)
+
+    def send(session: ChunkTracking) -> None:
+        session.follow(positions, times=times, start=begins or None, velocities=velocities)
+
+    return send
+
+
+def lasting(message: Any) -> float:
+    """How long (s) a command leads the robot."""
+    return (
+        _seconds(message.points[-1].time_from_start) if isinstance(message, JointTrajectory) and message.points else 0.0
+    )
+
+
+def _seconds(time: Any) -> float:
+    return float(time.sec + time.nanosec / NANOSECONDS)
 
 
 def _by_joint(names: Sequence[str], speeds: Sequence[float], joints: Sequence[str], field: str) -> tuple[float, ...]:

@@ -33,7 +33,9 @@ class JointStream:
         """The target at the newest `position` (J,), told at `stamp` (s), which goes on as the ones before; it stands where these do not move
         steadily, or faster than the robot can.
         """
-        if self._samples and np.any(np.abs(position - self._samples[-1][1]) > (stamp - self._samples[-1][0]) * self._fastest):
+        if self._samples and np.any(
+            np.abs(position - self._samples[-1][1]) > (stamp - self._samples[-1][0]) * self._fastest
+        ):
             self._samples.clear()
         self._samples.append((stamp, position))
         while self._samples[0][0] < stamp - _WINDOW:
