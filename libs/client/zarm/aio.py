@@ -18,7 +18,19 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Generator
 from concurrent.futures import Future
 from contextlib import AbstractAsyncContextManager, AbstractContextManager, asynccontextmanager, suppress
 from dataclasses import replace
-from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Concatenate,
+    Generic,
+    Literal,
+    ParamSpec,
+    Protocol,
+    TypeVar,
+    Unpack,
+    cast,
+    overload,
+)
 
 import zarm.connection
 import zarm.gripper
@@ -33,6 +45,10 @@ from zarm.interrupts import Interruption, started
 from zarm.record_story import Story
 from zarm_contract.messages import ExecuteRequest, GoalState, Plan, Trajectory
 from zarm_contract.roles import Role
+
+if TYPE_CHECKING:
+    from zarm.servo import SessionOptions
+    from zarm.servoing import ChunkTracking, Tracking
 
 __all__ = ["Gripper", "Perception", "Robot", "Scene", "Simulation", "connect", "replay", "robots", "story"]
 
@@ -96,6 +112,20 @@ def _iterated(
                 values.close()
 
     return iterate
+
+
+class Track(Protocol):
+    """The types of `Robot.track`."""
+
+    @overload
+    def __call__(
+        self, *, chunks: Literal[False] = False, **options: Unpack[SessionOptions]
+    ) -> AbstractAsyncContextManager[Tracking]: ...
+
+    @overload
+    def __call__(
+        self, *, chunks: Literal[True], **options: Unpack[SessionOptions]
+    ) -> AbstractAsyncContextManager[ChunkTracking]: ...
 
 
 def _entered(
@@ -252,7 +282,7 @@ class Robot(_Twin[zarm.robot.Robot]):
     states = _iterated(zarm.robot.Robot.states)
     joint_states = _iterated(zarm.robot.Robot.joint_states)
     stream = _entered(zarm.robot.Robot.stream)
-    track = _entered(zarm.robot.Robot.track)
+    track = cast("Track", _entered(cast("Any", zarm.robot.Robot.track)))
     jog = _entered(zarm.robot.Robot.jog)
     record = _entered(zarm.robot.Robot.record)
     _execute = _awaited(zarm.robot.Robot.execute)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar, cast
 
 from zarm.calls import Calls
 from zarm.connection import ANSWER_SECONDS, Connection
@@ -15,7 +15,7 @@ from zarm.gripper import Gripper
 from zarm.perception import Perception
 from zarm.planner import Planner
 from zarm.scene import Scene
-from zarm.servo import Servo
+from zarm.servo import Servo, Track
 from zarm.simulation import Simulation
 from zarm.values import Pose
 from zarm_contract.messages import Health, Nothing
@@ -100,7 +100,7 @@ class Robot(Calls):
     states = _short(_executor, Executor.states)
     joint_state = _short(_executor, Executor.joint_state)
     joint_states = _short(_executor, Executor.joint_states)
-    track = _short(_servo, Servo.track)
+    track = cast("Track", _short(_servo, Servo.track))
     jog = _short(_servo, Servo.jog)
     pick = _short(_grasping, Grasping.pick)
     place = _short(_grasping, Grasping.place)

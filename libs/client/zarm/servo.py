@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
-from typing import TYPE_CHECKING, Literal, TypeVar, overload
+from typing import TYPE_CHECKING, Literal, Protocol, TypedDict, TypeVar, Unpack, overload
 
 from zarm.calls import Calls
 from zarm.connection import Connection
@@ -18,39 +18,46 @@ if TYPE_CHECKING:
 S = TypeVar("S", "ChunkTracking", "Jogging", "Tracking")
 
 
+class SessionOptions(TypedDict, total=False):
+    """How a session leads the robot: at least `margin` (m, default 0.01) away from the scene and with its own links apart; with these shares of the
+    limits of velocity and acceleration (default 1); with `take_over`, another session is brought to rest first.
+    """
+
+    margin: float
+    velocity_scale: float
+    acceleration_scale: float
+    take_over: bool
+
+
+class Track(Protocol):
+    """The types of `Servo.track`."""
+
+    @overload
+    def __call__(
+        self, *, chunks: Literal[False] = False, **options: Unpack[SessionOptions]
+    ) -> AbstractContextManager[Tracking]: ...
+
+    @overload
+    def __call__(
+        self, *, chunks: Literal[True], **options: Unpack[SessionOptions]
+    ) -> AbstractContextManager[ChunkTracking]: ...
+
+
 class Servo(Calls):
     """Sessions in which a program steers the robot; leaving one brings the robot to rest."""
 
     @overload
     def track(
-        self,
-        *,
-        chunks: Literal[False] = False,
-        margin: float = 0.01,
-        velocity_scale: float = 1.0,
-        acceleration_scale: float = 1.0,
-        take_over: bool = False,
+        self, *, chunks: Literal[False] = False, **options: Unpack[SessionOptions]
     ) -> AbstractContextManager[Tracking]: ...
 
     @overload
     def track(
-        self,
-        *,
-        chunks: Literal[True],
-        margin: float = 0.01,
-        velocity_scale: float = 1.0,
-        acceleration_scale: float = 1.0,
-        take_over: bool = False,
+        self, *, chunks: Literal[True], **options: Unpack[SessionOptions]
     ) -> AbstractContextManager[ChunkTracking]: ...
 
     def track(
-        self,
-        *,
-        chunks: bool = False,
-        margin: float = 0.01,
-        velocity_scale: float = 1.0,
-        acceleration_scale: float = 1.0,
-        take_over: bool = False,
+        self, *, chunks: bool = False, **options: Unpack[SessionOptions]
     ) -> AbstractContextManager[Tracking] | AbstractContextManager[ChunkTracking]:
         """The robot follows a changing pose or changing joint positions, and avoids collisions.
 
@@ -68,25 +75,17 @@ class Servo(Calls):
                 tracking.follow(policy(observation()), dt=1 / 30)
         ```
 
-        `margin` (m) is kept to the scene and between the robot's own links; the scales are shares of the limits of velocity and
-        acceleration. Raises Busy if another session is open, unless `take_over` is set. Leaving the block brings the robot to
+        Options: `margin` (m, default 0.01) is kept to the scene and between the robot's own links; `velocity_scale` and `acceleration_scale` are shares
+        of the limits. Raises Busy if another session is open, unless `take_over` is set. Leaving the block brings the robot to
         rest. Raises Unavailable without a servo, or if the servo does not know the scene.
         """
         from zarm.servoing import ChunkTracking, Tracking
 
-        options = margin, velocity_scale, acceleration_scale, take_over
-        return self._session(ChunkTracking, *options) if chunks else self._session(Tracking, *options)
+        return self._session(ChunkTracking, options) if chunks else self._session(Tracking, options)
 
     @contextmanager
-    def jog(
-        self,
-        *,
-        margin: float = 0.01,
-        velocity_scale: float = 1.0,
-        acceleration_scale: float = 1.0,
-        take_over: bool = False,
-    ) -> Iterator[Jogging]:
-        """The robot moves by a twist of its tip or by joint speeds, as long as they keep coming: see `track`.
+    def jog(self, **options: Unpack[SessionOptions]) -> Iterator[Jogging]:
+        """The robot moves by a twist of its tip or by joint speeds, as long as they keep coming. Options as of `track`.
 
         ```python
         with robot.jog() as jogging:
@@ -96,26 +95,12 @@ class Servo(Calls):
         """
         from zarm.servoing import Jogging
 
-        with self._session(Jogging, margin, velocity_scale, acceleration_scale, take_over) as jogging:
+        with self._session(Jogging, options) as jogging:
             yield jogging
 
     @contextmanager
-    def _session(
-        self,
-        kind: Callable[[Connection, ServoStart], S],
-        margin: float,
-        velocity_scale: float,
-        acceleration_scale: float,
-        take_over: bool,
-    ) -> Iterator[S]:
-        request = made(
-            ServoStart,
-            margin=margin,
-            velocity_scale=velocity_scale,
-            acceleration_scale=acceleration_scale,
-            take_over=take_over,
-        )
-        session = kind(self.connection, request)
+    def _session(self, kind: Callable[[Connection, ServoStart], S], options: SessionOptions) -> Iterator[S]:
+        session = kind(self.connection, made(ServoStart, **options))
         try:
             yield session
         except BaseException:

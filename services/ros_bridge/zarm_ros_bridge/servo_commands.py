@@ -108,17 +108,13 @@ class ServoCommands:
         self._status = ros.node.create_publisher(Int8, "~/servo_status", 10)
         self._text = ros.node.create_publisher(String, "~/servo_status/text", 10)
         client = engine.client
-
-        def follow_chunks() -> AbstractContextManager[ChunkTracking]:
-            return client.track(chunks=True)
-
         self._opens: dict[str, Opens] = {}
         for listener, topic, kind, read, opens in (
             (ros, "delta_twist_cmds", TwistStamped, twist_of, client.jog),
             (ros, "delta_joint_cmds", JointJog, joint_speed_of, client.jog),
             (other, "delta_joint_cmds", JointState, joint_speed_of, client.jog),
             (ros, "pose_target_cmds", PoseStamped, target_of, client.track),
-            (ros, "joint_trajectory_cmds", JointTrajectory, chunk_of, follow_chunks),
+            (ros, "joint_trajectory_cmds", JointTrajectory, chunk_of, partial(client.track, chunks=True)),
         ):
             self._opens[topic] = opens
             punctuality = None if kind is JointTrajectory else Punctuality()  # a chunk says itself what it is meant for
