@@ -18,8 +18,8 @@ from zarm_runtime.session import router_config
 
 KEYS = Keys("any_robot")
 OF_EVERY_SERVICE = {"health", "reread", "alive"}
-COMMANDS = [KEYS.execute, KEYS.cancel, KEYS.pause, KEYS.resume, KEYS.reset, KEYS.strategy, KEYS.speed]
-CHANGES = [KEYS.scene_edit, KEYS.settings]
+OF_AGENTS_TOO = [KEYS.execute, KEYS.cancel, KEYS.speed, KEYS.gripper, KEYS.scene_edit, KEYS.program]
+NOT_OF_AGENTS = [KEYS.pause, KEYS.resume, KEYS.reset, KEYS.strategy, KEYS.settings, KEYS.servo_start, KEYS.servo_chunk]
 
 
 def test_every_key_stands_in_the_table() -> None:
@@ -41,10 +41,14 @@ def test_only_the_executor_commands_a_driver() -> None:
                 require(role, "publishes", KEYS.driver_command)
 
 
-@pytest.mark.parametrize("key", [*COMMANDS, *CHANGES])
-def test_only_operators_and_the_bridge_move_the_robot_and_change_what_it_plans_around(key: str) -> None:
-    allowed = {role for role in ROLES if _may(role, key)}
-    assert allowed == {"operator", "bridge"}
+@pytest.mark.parametrize("key", NOT_OF_AGENTS)
+def test_only_operators_and_the_bridge_steer_the_robot_and_change_how_it_works(key: str) -> None:
+    assert {role for role in ROLES if _may(role, key)} == {"operator", "bridge"}
+
+
+@pytest.mark.parametrize("key", OF_AGENTS_TOO)
+def test_agents_execute_and_change_what_is_planned_around_too(key: str) -> None:
+    assert {role for role in ROLES if _may(role, key)} - {"servo"} == {"operator", "bridge", "agent"}
 
 
 def test_who_moves_the_robot_cannot_read_the_truth_of_a_simulation() -> None:
@@ -55,7 +59,7 @@ def test_who_moves_the_robot_cannot_read_the_truth_of_a_simulation() -> None:
 
 
 def test_the_servo_may_ask_for_plans_too_for_it_steers_around_what_is_in_the_way() -> None:
-    assert {role for role in ROLES if _may(role, KEYS.plan)} == {"operator", "bridge", "servo"}
+    assert {role for role in ROLES if _may(role, KEYS.plan)} == {"operator", "bridge", "agent", "servo"}
 
 
 def test_everyone_may_stop_the_robot() -> None:

@@ -498,6 +498,8 @@ EXAMPLES: tuple[Message, ...] = (
         lag=0.004,
     ),
     m.ServoState(activity="following", goal_id="jog-1", scene_revision=_REVISION, session=_SESSION),
+    # agent
+    m.AgentCall(stamp=1.75e9, tool="execute", arguments='{"plan_id": "plan-1"}', outcome="done"),
     # driver
     m.DriverCommand(
         sequence=7,

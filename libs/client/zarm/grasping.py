@@ -27,10 +27,12 @@ Grasp = messages.Pose | messages.PoseGoal
 class Grasping(Calls):
     """Picks objects of the scene up, and places them."""
 
-    def __init__(self, connection: Connection) -> None:
+    def __init__(
+        self, connection: Connection, planner: Planner | None = None, executor: Executor | None = None
+    ) -> None:
         super().__init__(connection)
-        self._planner = Planner(connection)
-        self._executor = Executor(connection)
+        self._planner = planner or Planner(connection)
+        self._executor = executor or Executor(connection)
         self._gripper = Gripper(connection)
         self._scene = Scene(connection)
 

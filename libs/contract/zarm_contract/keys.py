@@ -10,6 +10,7 @@ from typing import get_args
 from zarm_contract.key import Family, ImageTopic, Key, Latched, OfService, Query, Setting, Token, Topic
 from zarm_contract.messages import (
     Accepted,
+    AgentCall,
     Authority,
     CameraChange,
     Cameras,
@@ -71,7 +72,7 @@ from zarm_contract.messages import (
     Trajectory,
     VoxelBlock,
 )
-from zarm_contract.roles import DRIVES, EVERYONE, SERVICE_ROLES
+from zarm_contract.roles import ACTS, DRIVES, EVERYONE, SERVICE_ROLES
 
 _ROBOT = re.compile(r"[a-z][a-z0-9_]{0,63}")
 _OBJECTS = get_args(get_args(SceneObject)[0])
@@ -96,7 +97,7 @@ class Keys:
         Plan,
         "Plan a verified motion; nothing moves.",
         to="planner",
-        by=(*DRIVES, "servo"),  # which replans around obstacles
+        by=(*ACTS, "servo"),  # which replans around obstacles
     )
     program = Query(
         "planner/program",
@@ -104,12 +105,12 @@ class Keys:
         Plan,
         "Plan the segments of a program as one verified motion; nothing moves.",
         to="planner",
-        by=DRIVES,
+        by=ACTS,
     )
     plan_cancel = Query(
-        "planner/cancel", CancelPlan, CancelledPlan, "End the planning of one request.", to="planner", by=DRIVES
+        "planner/cancel", CancelPlan, CancelledPlan, "End the planning of one request.", to="planner", by=ACTS
     )
-    ik = Query("planner/ik", IkRequest, IkSolutions, "Inverse kinematics of up to 1000 poses.", to="planner", by=DRIVES)
+    ik = Query("planner/ik", IkRequest, IkSolutions, "Inverse kinematics of up to 1000 poses.", to="planner", by=ACTS)
     fk = Query(
         "planner/fk",
         FkRequest,
@@ -178,7 +179,7 @@ class Keys:
         SceneEdited,
         "Change the scene; an edit is applied as a whole or not at all.",
         to="planner",
-        by=DRIVES,
+        by=ACTS,
     )
 
     # executor
@@ -188,7 +189,7 @@ class Keys:
         Accepted,
         "Start a goal: the last plan, a plan by its id, or any trajectory.",
         to="executor",
-        by=DRIVES,
+        by=ACTS,
     )
     goal = Family(
         Latched(
@@ -205,7 +206,7 @@ class Keys:
         ExecutorState,
         "Cancel one goal, or whichever runs; the robot brakes to rest.",
         to="executor",
-        by=DRIVES,
+        by=ACTS,
     )
     stop = Query(
         "executor/stop",
@@ -235,7 +236,7 @@ class Keys:
         Speed,
         "Scale the speed, also in motion; an empty request reads it.",
         of="executor",
-        by=DRIVES,
+        by=ACTS,
         recorded="value and changes",
     )
     stream = Topic(
@@ -279,10 +280,10 @@ class Keys:
         Accepted,
         "Move a gripper to an opening, and hold.",
         to="executor",
-        by=(*DRIVES, "servo"),  # for the chunks that it follows
+        by=(*ACTS, "servo"),  # for the chunks that it follows
     )
     gripper_cancel = Query(
-        "executor/gripper/cancel", GripperCancel, GripperState, "Stop a gripper where it is.", to="executor", by=DRIVES
+        "executor/gripper/cancel", GripperCancel, GripperState, "Stop a gripper where it is.", to="executor", by=ACTS
     )
     gripper_state = Family(
         Latched(
@@ -317,6 +318,11 @@ class Keys:
     )
     servo_state = Latched(
         "servo/state", ServoState, "What the servo does, and in which scene.", of="servo", recorded="changes"
+    )
+
+    # agent: a program that moves the robot through `zarm mcp`
+    agent_call = Topic(
+        "agent/call", AgentCall, "What an agent asked for, and what became of it.", by=("agent",), recorded="changes"
     )
 
     # driver: what a robot's driver takes from the executor, and tells it

@@ -7,6 +7,7 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from zarm_contract._faults import sentence
 from zarm_contract.document import Document, read_document
 from zarm_contract.errors import InvalidRequest
 
@@ -27,5 +28,5 @@ def read_section(path: Path, what: str, model: type[S]) -> tuple[Document, S]:
         return document, model.model_validate(document.data)
     except ValidationError as error:
         raise InvalidRequest(
-            "\n".join(document.fault(tuple(one["loc"]), one["msg"]) for one in error.errors())
+            "\n".join(document.fault(tuple(one["loc"]), sentence(one["msg"])) for one in error.errors())
         ) from error

@@ -45,6 +45,7 @@ MODULES = {
     "world": "world",
     "sensor": "sensor",
     "robot": "robot",
+    "mcp": "mcp",
 }
 """The module of each command. It holds a function of that name, or `app` if the command has subcommands."""
 

@@ -68,7 +68,7 @@ def _plain(value: object) -> object:
 def error_line(error: ZarmError) -> str:
     """An error as one line: `zarm: <code>: <sentence>`."""
     first, *more = str(error).splitlines()
-    rest = f" (and {len(more)} more; `zarm robot check` lists them)" if more else ""
+    rest = f" (and {len(more)} more)" if more else ""
     return f"zarm: {error.code}: {first}{rest}"
 
 

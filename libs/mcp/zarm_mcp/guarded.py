@@ -1,0 +1,97 @@
+"""Planner and executor of a robot inside a policy."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from zarm.calls import Calls
+from zarm.connection import Connection
+from zarm.executor import Executor, OnProgress
+from zarm.planner import Planner
+from zarm.scene import Scene
+from zarm_contract.errors import Busy, InvalidRequest
+from zarm_contract.messages import ExecuteRequest, GoalState, Plan, Segment, Trajectory
+from zarm_mcp.policy import Policy
+from zarm_mcp.policy_check import PolicyCheck
+
+_SLOWDOWNS = 6
+"""A plan is made again so often, slower, until it is inside the policy's speeds."""
+_SLOWEST = 0.01
+_SPARE = 0.95
+
+
+class GuardedPlanner(Planner):
+    """Makes plans that are inside the speeds of a policy."""
+
+    def __init__(self, connection: Connection, policy: Policy, check: PolicyCheck) -> None:
+        super().__init__(connection)
+        self._policy, self._check = policy, check
+
+    def plan(self, goal: Any, **options: Any) -> Plan:
+        """`Planner.plan`, slow enough."""
+        return self._slow_enough(lambda scale: Planner.plan(self, goal, **(options | {"velocity_scale": scale})))
+
+    def plan_program(self, segments: Sequence[Segment], /, **options: Any) -> Plan:
+        """`Planner.plan_program`, slow enough."""
+        return self._slow_enough(
+            lambda scale: Planner.plan_program(self, segments, **(options | {"velocity_scale": scale}))
+        )
+
+    def _slow_enough(self, made: Any) -> Plan:
+        scale = self._policy.joint_speed
+        for _ in range(_SLOWDOWNS):
+            plan: Plan = made(scale)
+            share = self._check.slower(plan)
+            if share >= 1.0:
+                break
+            scale = max(_SPARE * share * scale, _SLOWEST)
+        return plan
+
+
+class GuardedExecutor(Executor):
+    """Executes plans that a policy allows, one at a time."""
+
+    def __init__(self, connection: Connection, check: PolicyCheck) -> None:
+        super().__init__(connection)
+        self._check, self._scene = check, Scene(connection)
+        self._moving = threading.Lock()
+
+    def execute(
+        self,
+        what: Plan | Trajectory | ExecuteRequest | str | None = None,
+        *,
+        preempt: bool = False,
+        replan: bool = False,
+        on_progress: OnProgress | None = None,
+    ) -> GoalState:
+        """`Executor.execute` of a plan that the policy allows. Raises ExecutionRefused for another."""
+        if not isinstance(what, Plan):
+            raise InvalidRequest("an agent executes plans only", field="plan")
+        self.demand(what)
+        return super().execute(what, preempt=preempt, replan=replan, on_progress=on_progress)
+
+    def demand(self, plan: Plan) -> None:
+        """Raise ExecutionRefused unless the policy allows a plan with what is attached now."""
+        self._check.demand(plan, tuple(self._scene.attached().values()))
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """A block in which nothing else of this agent moves. Raises Busy while something does."""
+        if not self._moving.acquire(blocking=False):
+            raise Busy("a motion of this agent is under way; wait for its end, or stop it")
+        try:
+            yield
+        finally:
+            self._moving.release()
+
+
+class Guarded(Calls):
+    """What an agent moves a robot with."""
+
+    def __init__(self, connection: Connection, policy: Policy, check: PolicyCheck) -> None:
+        super().__init__(connection)
+        self.planner = GuardedPlanner(connection, policy, check)
+        self.executor = GuardedExecutor(connection, check)

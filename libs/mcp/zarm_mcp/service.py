@@ -1,0 +1,46 @@
+"""Serves the tools of one robot until the client leaves."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+from zarm.connection import connected
+from zarm_contract.errors import InvalidRequest, ZarmError
+from zarm_contract.messages import Nothing
+from zarm_contract.robot import load_robot
+from zarm_geometry.robot_model import RobotModel
+from zarm_mcp.agent import Agent
+from zarm_mcp.policy import Policy, read_policy
+from zarm_mcp.server import make_server
+from zarm_runtime.version import version
+
+
+def serve(robot: str, policy: Path | None, http: str | None, endpoint: str, name: str | None) -> None:
+    """Serve over stdin and stdout, or HTTP at `http`, `host:port`. Raises Unavailable without a robot, and InvalidRequest."""
+    allowed = Policy() if policy is None else read_policy(policy)
+    description = load_robot(robot)
+    model = RobotModel.of(description)
+    with connected(endpoint, name or description.descriptor.name, role="agent") as connection:
+        known = connection.bus.call(connection.keys.health("planner"), Nothing(), timeout=5.0)
+        if known.robot_hash != description.hash:
+            raise InvalidRequest(f"the planner has another robot than {robot}; name the same descriptor", field="robot")
+        agent = Agent(connection, model, allowed)
+        agent.open()
+        try:
+            server = make_server(agent, model, allowed, connection.publisher(connection.keys.agent_call), version())
+            if http is None:
+                server.run("stdio")
+            else:
+                host, port = _place(http)
+                server.run("streamable-http", host=host, port=port)
+        finally:
+            with suppress(ZarmError):
+                agent.close()
+
+
+def _place(http: str) -> tuple[str, int]:
+    host, _, port = http.rpartition(":")
+    if not host or not port.isdecimal():
+        raise InvalidRequest(f"{http} is no host:port, as 127.0.0.1:8765", field="--http")
+    return host, int(port)
