@@ -103,6 +103,7 @@ $(VENV)/.planner: $(PINNED) | $(BIN)/python
 $(VENV)/.dev: $(PINNED) | $(BIN)/python
 	@echo "installing zarm and its tools into $(VENV) ..."
 	@$(PIP) install -c constraints.txt -e ".[planner,dev]"
+	@$(PIP) install --no-deps lerobot==0.4.4 -e libs/lerobot_robot_zarm # without what it trains with
 	@touch $@ $(VENV)/.planner
 
 $(VENV)/.ros_packages: $(PINNED) | $(BIN)/python

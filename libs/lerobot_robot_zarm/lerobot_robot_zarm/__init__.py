@@ -1,0 +1,7 @@
+"""Robots that zarm moves, for LeRobot."""
+
+from lerobot_robot_zarm.config import ZarmConfig, ZarmTeleopConfig
+from lerobot_robot_zarm.robot import Zarm
+from lerobot_robot_zarm.teleoperator import ZarmTeleop
+
+__all__ = ["Zarm", "ZarmConfig", "ZarmTeleop", "ZarmTeleopConfig"]

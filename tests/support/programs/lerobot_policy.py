@@ -1,0 +1,115 @@
+"""A policy of LeRobot moves a robot of zarm: `lerobot_policy.py <router> <seconds>`. Prints what LeRobot sees, as JSON.
+
+The real lerobot package is used, with nothing behind what it imports for training and cameras.
+"""
+
+from __future__ import annotations
+
+import importlib.abc
+import importlib.machinery
+import json
+import math
+import sys
+import time
+import types
+from typing import Any
+
+LEFT_OUT = {
+    "accelerate", "av", "cv2", "datasets", "deepdiff", "diffusers", "einops", "gymnasium", "imageio", "jsonlines", "pandas", "pyarrow", "pynput",
+    "rerun", "safetensors", "serial", "termcolor", "torch", "torchcodec", "torchvision", "transformers", "wandb",
+}  # fmt: skip
+
+
+class Anything(type):
+    """A class that has every attribute, and decorates functions as they are."""
+
+    def __getattr__(cls, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return Anything(name, (), {})
+
+    def __getitem__(cls, _: object) -> Any:
+        return cls
+
+    def __or__(cls, _: object) -> Any:
+        return object
+
+    __ror__ = __or__
+
+    def __call__(cls, *arguments: Any, **_: Any) -> Any:
+        return arguments[0] if len(arguments) == 1 and callable(arguments[0]) else Anything("made", (), {})
+
+
+class Empty(types.ModuleType):
+    """A module that has everything."""
+
+    __path__ = ()
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return Anything(name, (), {})
+
+
+class Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Finds empty modules."""
+
+    def find_spec(self, name: str, *_: Any) -> importlib.machinery.ModuleSpec | None:
+        left_out = name.split(".")[0] in LEFT_OUT
+        return importlib.machinery.ModuleSpec(name, self, is_package=True) if left_out else None
+
+    def create_module(self, spec: importlib.machinery.ModuleSpec) -> types.ModuleType:
+        return Empty(spec.name)
+
+    def exec_module(self, module: types.ModuleType) -> None:
+        """Nothing is in it."""
+
+
+sys.meta_path.insert(0, Finder())
+
+
+def main() -> None:
+    """Swing the first joint, and half close the gripper."""
+    from lerobot.robots import RobotConfig, make_robot_from_config
+    from lerobot.teleoperators import TeleoperatorConfig, make_teleoperator_from_config
+    from lerobot.utils.import_utils import register_third_party_plugins
+
+    endpoint, seconds = sys.argv[1], float(sys.argv[2])
+    register_third_party_plugins()
+    config = RobotConfig.get_choice_class("zarm")(robot="panda", connect=endpoint, name="panda")
+    robot = make_robot_from_config(config)
+    teleop = make_teleoperator_from_config(
+        TeleoperatorConfig.get_choice_class("zarm")(robot="panda", connect=endpoint, name="panda")
+    )
+    features = [*robot.observation_features], [*robot.action_features]
+    refused = ""
+    with robot, teleop:
+        before = robot.get_observation()
+        begun = time.monotonic()
+        while (passed := time.monotonic() - begun) < seconds:
+            action = dict(before)
+            action["panda_joint1.pos"] += 0.2 * (1.0 - math.cos(2.0 * passed)) / 2.0
+            action["hand.pos"] = 0.04
+            action["panda_joint2.pos"] = 100.0 if passed > seconds - 0.05 else action["panda_joint2.pos"]
+            sent = robot.send_action(action)
+            time.sleep(1 / 30)
+        observed = teleop.get_action()
+        try:
+            robot.send_action({"panda_joint1.pos": 0.0})
+        except Exception as error:
+            refused = str(error)
+    json.dump(
+        {
+            "features": features,
+            "before": before,
+            "sent": sent,
+            "observed": observed,
+            "refused": refused,
+            "type": robot.name,
+        },
+        sys.stdout,
+    )
+
+
+if __name__ == "__main__":
+    main()
