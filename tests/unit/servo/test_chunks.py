@@ -170,6 +170,19 @@ def test_the_chunk_before_is_followed_until_the_next_begins_and_the_change_has_n
     robot.assert_sound()
 
 
+def test_a_robot_that_is_found_elsewhere_goes_on_from_there() -> None:
+    robot, motion = Follower(), wave(0.4, 0.3)
+    robot.stream(motion, 3.01)
+    elsewhere = robot.controller.state.copy()
+    elsewhere[0] += 0.01
+    elsewhere[2] *= 0.2
+    robot.controller.restart(elsewhere)
+    robot.states = [robot.controller.state]
+    robot.run(0.5)
+    assert robot.controller.state[0] == pytest.approx(motion(robot.time), abs=1e-3)
+    robot.assert_sound()
+
+
 @given(seed=st.integers(0, 2**32))
 @examples(1)
 def test_whatever_is_asked_for_the_limits_and_the_margin_are_kept(seed: int) -> None:

@@ -98,7 +98,6 @@ class ChunkTracking:
         self._next = when = self._times.next(PERIOD * rate, expected)
         reference = self._inbox.at(when)
         if reference is None:
-            self._follower.leave()
             return None
         self._grip.follow(reference, time.monotonic())
         return self._along(reference, when, rate, around, limitation)
@@ -113,7 +112,6 @@ class ChunkTracking:
             step = None if after is None else self._controller.follow(after, around)
             if step is not None:
                 return step
-            self._follower.leave()
             self._apart = _APART
         position, velocity, _ = reference.sample(np.array([when]), rate)[:, 0]
         return self._controller.step(JointTarget(position, velocity), 0.0, around)
