@@ -22,7 +22,7 @@ from support.command_line import ZARM, environment
 from support.command_line import zarm as run_zarm
 from support.harness import PATIENCE, ServiceProcess, eventually, router
 from zarm_contract.keys import Keys
-from zarm_contract.messages import AgentCall, JointState
+from zarm_contract.messages import AgentAnswer, AgentCall, AgentQuestion, JointState
 from zarm_contract.robot import load_robot
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.bus import Bus
@@ -163,28 +163,34 @@ def test_plans_keep_the_whole_arm_and_its_speed_inside_the_policy(cell: Cell) ->
     assert "keep_out.person" not in cell.robot.scene.objects()  # the zones leave with the server
 
 
-@pytest.mark.parametrize("answer", ["accept", "decline", "nobody"])
+@pytest.mark.parametrize("answer", ["accept", "decline", "accept on the page", "decline on the page", "nobody"])
 def test_a_person_approves_what_the_policy_says(cell: Cell, answer: str) -> None:
     asked: list[str] = []
+    approves = answer.startswith("accept")
 
     async def ask(_: Any, params: ElicitRequestParams) -> ElicitResult:
         asked.append(params.message)
-        return (
-            ElicitResult(action="accept", content={"approve": True})
-            if answer == "accept"
-            else ElicitResult(action="decline")
-        )
+        return ElicitResult(action="accept", content={"approve": True}) if approves else ElicitResult(action="decline")
+
+    def on_question(_: str, question: AgentQuestion) -> None:
+        asked.append(question.text)
+        if "page" in answer:
+            answers.put(AgentAnswer(question=question.question, approve=approves))
 
     async def use(agent: Agent) -> None:
         plan = await agent.get("plan_to_joints", joints=TURNED)
-        if answer == "accept":
+        if approves:
             await agent.get("execute", plan_id=plan["plan_id"])
         else:
-            assert "limit_violated" in await agent.refused("execute", plan_id=plan["plan_id"])
+            assert "approve" in await agent.refused("execute", plan_id=plan["plan_id"])
 
-    cell.serve(use, None if answer == "nobody" else ask, approval=["execute"])
-    assert (away(cell) > 0.4) == (answer == "accept")
-    assert [("execute" in message) for message in asked] == ([] if answer == "nobody" else [True])
+    answers = cell.bus.publisher(KEYS.agent_answer)
+    unsubscribe = cell.bus.subscribe(KEYS.agent_question, on_question)
+    timeout = 1.0 if answer == "nobody" else PATIENCE
+    cell.serve(use, ask if answer in ("accept", "decline") else None, approval=["execute"], approval_timeout=timeout)
+    unsubscribe()
+    assert (away(cell) > 0.4) == approves
+    assert {"execute" in text for text in asked} == {True}
 
 
 def test_a_stop_is_possible_while_the_robot_moves_and_after_too_many_calls(cell: Cell) -> None:

@@ -500,6 +500,8 @@ EXAMPLES: tuple[Message, ...] = (
     m.ServoState(activity="following", goal_id="jog-1", scene_revision=_REVISION, session=_SESSION),
     # agent
     m.AgentCall(stamp=1.75e9, tool="execute", arguments='{"plan_id": "plan-1"}', outcome="done"),
+    m.AgentQuestion(question="3f2a", tool="execute", text="The agent wants to execute plan-1."),
+    m.AgentAnswer(question="3f2a", approve=True),
     # driver
     m.DriverCommand(
         sequence=7,

@@ -10,7 +10,9 @@ from typing import get_args
 from zarm_contract.key import Family, ImageTopic, Key, Latched, OfService, Query, Setting, Token, Topic
 from zarm_contract.messages import (
     Accepted,
+    AgentAnswer,
     AgentCall,
+    AgentQuestion,
     Authority,
     CameraChange,
     Cameras,
@@ -324,6 +326,14 @@ class Keys:
     agent_call = Topic(
         "agent/call", AgentCall, "What an agent asked for, and what became of it.", by=("agent",), recorded="changes"
     )
+    agent_question = Topic(
+        "agent/question",
+        AgentQuestion,
+        "What an agent wants, and a person has to approve.",
+        by=("agent",),
+        recorded="changes",
+    )
+    agent_answer = Topic("agent/answer", AgentAnswer, "A person's answer to that.", by=DRIVES, recorded="changes")
 
     # driver: what a robot's driver takes from the executor, and tells it
     driver_command = Topic(

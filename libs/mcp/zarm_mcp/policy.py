@@ -65,6 +65,8 @@ class Policy(Section):
     """Greatest speed of the tip (m/s)."""
     approval: tuple[Approved, ...] = ("execute", "pick", "place")
     """Tools of which a person has to approve each call."""
+    approval_timeout: Positive = 60.0
+    """How long a person has for that (s)."""
     edit_scene: bool = True
     """Whether the agent may add objects to the scene, and remove those that it has added."""
     calls_per_minute: Annotated[int, Field(ge=1)] = 120

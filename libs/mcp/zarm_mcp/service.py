@@ -28,7 +28,7 @@ def serve(robot: str, policy: Path | None, http: str | None, endpoint: str, name
         agent = Agent(connection, model, allowed)
         agent.open()
         try:
-            server = make_server(agent, model, allowed, connection.publisher(connection.keys.agent_call), version())
+            server = make_server(agent, model, allowed, connection, version())
             if http is None:
                 server.run("stdio")
             else:

@@ -16,6 +16,7 @@ from zarm.robot import Robot
 from zarm_contract.errors import ZarmError
 from zarm_contract.robot import RobotDescription
 from zarm_contract.roles import Role
+from zarm_viewer.agent_panel import AgentPanel
 from zarm_viewer.aim import Goal
 from zarm_viewer.environment import BESIDE, add_environment
 from zarm_viewer.gate import Gate
@@ -161,6 +162,7 @@ class _Part:
             self._status = StatusPanel(self.panels)
             if moves:
                 self._add_reset()
+                self._agent = AgentPanel(self.panels)
             tabs = server.gui.add_tab_group()
             if moves:
                 self._controls = _Controls(self.panels, self._picture, tabs, folders.state, self._forget_plan)
@@ -200,6 +202,7 @@ class _Part:
         self._plots.draw(news)
         if self._controls is not None:
             self._controls.draw(news)
+            self._agent.draw()
         if self._record is not None:
             self._record.draw()
         if self._events is not None:

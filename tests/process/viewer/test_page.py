@@ -31,7 +31,7 @@ from support.viewer import (
     free_port,
     opened,
 )
-from zarm_contract.messages import Plan, Planners, VoxelBlock
+from zarm_contract.messages import AgentAnswer, AgentQuestion, Plan, Planners, VoxelBlock
 from zarm_contract.robot import load_robot
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.kinematics import Chain
@@ -573,3 +573,25 @@ def test_the_page_goes_on_when_the_router_is_started_again(page: Page, cell: Cel
     expect(page.get_by_text("reachable, free")).to_be_visible()
     cell.robot.execute(cell.robot.plan(moved(0.3)))
     eventually(lambda: drawn_where_measured(page, cell), "the page shows where it has gone")
+
+
+@pytest.mark.slow  # as the drawing is
+def test_a_question_of_an_agent_is_answered_on_the_page(page: Page, cell: Cell) -> None:
+    answers: list[AgentAnswer] = []
+    unsubscribe = cell.bus.subscribe(KEYS.agent_answer, lambda _, answer: answers.append(answer))
+    questions = cell.bus.publisher(KEYS.agent_question)
+    approve = page.get_by_role("button", name="Approve")
+    expect(approve).to_be_hidden()
+
+    def shown(question: str) -> bool:
+        questions.put(AgentQuestion(question=question, tool="execute", text="The agent wants to execute plan-1."))
+        return approve.is_visible()
+
+    for question, button in (("one", "Approve"), ("two", "Decline")):
+        eventually(lambda question=question: shown(question), "the question is shown")
+        expect(page.get_by_text("The agent wants to execute plan-1.")).to_be_visible()
+        page.get_by_role("button", name=button).click()
+        eventually(lambda: answers and answers[-1].question == question, "it is answered")  # noqa: B023
+        expect(approve).to_be_hidden()
+    unsubscribe()
+    assert [(answer.question, answer.approve) for answer in answers] == [("one", True), ("two", False)]

@@ -5,7 +5,7 @@ descriptor; times of day are Unix seconds. Poses are of the descriptor's `tip_li
 """
 
 from zarm_contract._model import Message
-from zarm_contract.messages.agent import AgentCall
+from zarm_contract.messages.agent import AgentAnswer, AgentCall, AgentQuestion
 from zarm_contract.messages.driver import DriverCommand, DriverFault, DriverProgress, DriverSpeed
 from zarm_contract.messages.executor import (
     Accepted,
@@ -188,7 +188,9 @@ __all__ = [
     "POSE_COMPONENTS",
     "Accepted",
     "AddObjects",
+    "AgentAnswer",
     "AgentCall",
+    "AgentQuestion",
     "ArcGoal",
     "Attach",
     "AttachObject",

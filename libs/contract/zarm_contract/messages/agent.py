@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from zarm_contract._model import Message
+from zarm_contract._model import Message, ShortMessage
 from zarm_contract.messages.motion import Name
 
 
@@ -13,3 +13,18 @@ class AgentCall(Message):
     tool: Name
     arguments: str
     outcome: str
+
+
+class AgentQuestion(ShortMessage):
+    """A person has to approve what an agent wants: a call of a `tool`, in words. Repeated twice a second until it is answered or given up."""
+
+    question: Name
+    tool: Name
+    text: str
+
+
+class AgentAnswer(ShortMessage):
+    """A person's answer to a `question`."""
+
+    question: Name
+    approve: bool
