@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from support.examples import examples
 from zarm_contract.errors import InvalidRequest
@@ -204,6 +205,36 @@ def test_whatever_is_asked_for_the_limits_and_the_margin_are_kept(seed: int) -> 
     robot.assert_sound()
 
 
+ODD = st.one_of(
+    st.floats(allow_nan=False, allow_infinity=False),
+    st.sampled_from((0.0, 1e-9, 0.001, 1.0, -1.0, 1e3, -1e3, 1e9, 1e308)),
+    st.floats(-1.0, 1.0),
+)
+
+
+@given(data=st.data())
+@examples(10)
+def test_odd_numbers_are_refused_or_followed_inside_the_limits(data: st.DataObject) -> None:
+    count = data.draw(st.integers(2, 6))
+    rows = HOME + np.array(data.draw(st.lists(st.floats(-0.4, 0.4), min_size=count, max_size=count)))[:, None]
+    rows[data.draw(st.integers(0, count - 1)), 0] = data.draw(ODD)
+    points = {"kind": "joints", "position": tuple(map(tuple, rows.tolist()))}
+    if data.draw(st.booleans()):
+        points["velocity"] = tuple((data.draw(ODD),) * 6 for _ in range(count))
+    fields = {
+        name: data.draw(ODD) for name in ("dt", "start", "expiry", "observed", "stamp") if data.draw(st.booleans())
+    }
+    robot = Follower()
+    try:
+        taken = robot.take(chunk_of(rows, 0.0, **({"points": JointPoints(**points)} | fields)))  # type: ignore[arg-type]
+    except (InvalidRequest, ValidationError):
+        return
+    assert all(np.isfinite(over.excess) for over in taken.clipped)
+    robot.run(0.3)
+    assert np.isfinite(robot.states).all()
+    robot.assert_sound()
+
+
 def test_at_the_end_of_a_chunk_and_when_it_expires_the_robot_brakes() -> None:
     robot = Follower()
     robot.take(chunk(lambda time: HOME + 0.3 * time, 0.0, 10, expiry=0.2))
@@ -277,6 +308,8 @@ def changed(**fields: Any) -> ServoChunk:
         (changed(dt=None, time=(0.0, 0.1)), "points.position", "5 points"),
         (changed(points=JointPoints(kind="joints", position=((0.0,) * 5,) * 5)), "points.position[0]", "6 joints"),
         (changed(points=JointPoints(kind="joints", position=(tuple(HOME + 1.0),) * 5)), "points", "1.00 rad"),
+        (changed(dt=60.0), "dt", "at most 60 s"),
+        (changed(points=JointPoints(kind="joints", position=((2e3,) * 6,) * 5)), "points.position[0]", "rad"),
         (changed(opening=(0.0,) * 5), "gripper", "together"),
         (changed(opening=(0.0,) * 5, gripper="hand"), "gripper", "no gripper"),
     ],

@@ -162,7 +162,7 @@ class ServoChunk(Message):
     start: float | None = None
     observed: float | None = None
     expiry: Positive | None = None
-    dt: Positive | None = None
+    dt: Annotated[float, Field(gt=0, le=60)] | None = None
     time: Annotated[tuple[NonNegative, ...], Points] | None = None
     points: Annotated[JointPoints | PosePoints, Field(discriminator="kind")]
     gripper: Name | None = None

@@ -23,6 +23,10 @@ SOON = 10.0
 """A chunk starts at most so long (s) after it was made."""
 JUMP = 0.5
 """A chunk begins at most this far (rad) from where the chunk before, or the robot, would be."""
+LONGEST = 60.0
+"""Longest chunk (s)."""
+LARGEST = 1000.0
+"""A larger number (rad, rad/s) is in another unit, or the result of a division by zero."""
 _CLOSEST = 0.001
 """Least time (s) between two points."""
 
@@ -132,6 +136,11 @@ class ChunkInbox:
                 raise InvalidRequest(
                     f"{len(row)} values, and this robot has {self._model.dof} joints", field=f"{field}[{index}]"
                 )
+            if max(map(abs, row)) > LARGEST:
+                raise InvalidRequest(
+                    f"{max(row, key=abs):g} is more than {LARGEST:g}; positions are in rad, velocities in rad/s",
+                    field=f"{field}[{index}]",
+                )
         return np.array(rows)
 
     def _jump(self, reference: Reference, begins: float, position: Array) -> float:
@@ -191,4 +200,8 @@ def _times(message: ServoChunk) -> Array:
         times, field = np.array(message.time), "time"
     if np.diff(times).min() < _CLOSEST:
         raise InvalidRequest(f"points follow each other by {_CLOSEST:g} s at least", field=field)
+    if times[-1] > LONGEST:
+        raise InvalidRequest(
+            f"the chunk lasts {times[-1]:.3g} s (at most {LONGEST:g} s); send less at once", field=field
+        )
     return times
