@@ -9,12 +9,14 @@ from typing import Any
 import pytest
 from geometry_msgs.msg import Pose, PoseStamped, Quaternion, TwistStamped, Vector3
 from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import ServoSession
+from zarm_contract.messages import ChunkAccepted, Clipped, ServoSession
 from zarm_contract.robot import load_robot
 from zarm_ros_bridge.convergence import Approach
-from zarm_ros_bridge.convert.servo_commands import joint_speed_of, target_of, twist_of
+from zarm_ros_bridge.convert.servo_commands import chunk_of, joint_speed_of, target_of, twist_of
+from zarm_ros_bridge.convert.times import ros_duration
 from zarm_ros_bridge.servo_commands import Punctuality
 
 ROBOT = load_robot("doosan_m1013").descriptor
@@ -34,6 +36,11 @@ class Told:
 
     def to(self, pose: Any) -> None:
         self.calls.append((pose.position, pose.orientation))
+
+    def follow(self, positions: Any, **others: Any) -> ChunkAccepted:
+        self.calls.append((positions, others))
+        over = Clipped(joint="joint_2", quantity="velocity", excess=0.25)
+        return ChunkAccepted(limiting="free", clipped=(over,))
 
 
 def twist(frame: str = "", x: float = 0.1) -> TwistStamped:
@@ -95,6 +102,27 @@ def test_joint_speeds_are_by_name_and_the_others_stand_still() -> None:
     )
 
 
+def trajectory(joints: tuple[str, ...] = ROBOT.joints, *rows: list[float], velocities: bool = False) -> JointTrajectory:
+    """Points a tenth of a second apart."""
+    message = JointTrajectory(joint_names=list(joints))
+    for number, row in enumerate(rows):
+        point = JointTrajectoryPoint(positions=row, time_from_start=ros_duration(0.1 * number))
+        point.velocities = row if velocities else []
+        message.points.append(point)
+    return message
+
+
+@pytest.mark.parametrize("velocities", [True, False])
+def test_a_trajectory_is_a_chunk_in_the_order_of_the_robot_and_says_what_is_clipped(velocities: bool) -> None:
+    rows = [[6.0, 5.0, 4.0, 3.0, 2.0, 1.0], [6.5, 5.5, 4.5, 3.5, 2.5, 1.5]]
+    session = Told()
+    said = chunk_of(trajectory(ROBOT.joints[::-1], *rows, velocities=velocities), ROBOT, base_only)(session)
+    ((positions, others),) = session.calls
+    assert positions == [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [1.5, 2.5, 3.5, 4.5, 5.5, 6.5]]
+    assert others == {"times": [0.0, 0.1], "start": None, "velocities": positions if velocities else None}
+    assert said == "the velocity of joint_2 is 0.25 over its limit"
+
+
 @pytest.mark.parametrize(
     ("read", "message", "field"),
     [
@@ -105,6 +133,9 @@ def test_joint_speeds_are_by_name_and_the_others_stand_still() -> None:
         (joint_speed_of, JointState(velocity=[0.1]), "velocity"),
         (joint_speed_of, JointState(name=["joint_1"], velocity=[math.inf]), "velocity[0]"),
         (joint_speed_of, jog(["joint_1"], [0.1], (0.1,)), "displacements"),
+        (chunk_of, trajectory(("joint_1",), [0.0]), "joint_names"),
+        (chunk_of, trajectory(ROBOT.joints, [0.0] * 5), "points[0].positions"),
+        (chunk_of, trajectory(ROBOT.joints, [0.0] * 6, [math.nan] * 6), "points[1].positions[0]"),
     ],
 )
 def test_what_cannot_be_followed_is_refused_with_its_field(read: Any, message: Any, field: str) -> None:

@@ -21,7 +21,7 @@ def serve(robot: str, policy: Path | None, http: str | None, endpoint: str, name
     allowed = Policy() if policy is None else read_policy(policy)
     description = load_robot(robot)
     model = RobotModel.of(description)
-    with connected(endpoint, name or description.descriptor.name, role="agent") as connection:
+    with connected(endpoint, name, role="agent") as connection:
         known = connection.bus.call(connection.keys.health("planner"), Nothing(), timeout=5.0)
         if known.robot_hash != description.hash:
             raise InvalidRequest(f"the planner has another robot than {robot}; name the same descriptor", field="robot")

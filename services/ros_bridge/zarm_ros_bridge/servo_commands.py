@@ -182,7 +182,9 @@ class ServoCommands:
             now = time.monotonic()
             if newest is not None and now - newest.time < STALE:
                 try:
-                    newest.send(session)
+                    clipped = newest.send(session)
+                    if clipped is not None:
+                        self._report(STATUS["joint_limit"], clipped)
                 except InvalidRequest as error:  # the robot goes on by the commands before
                     self._refuse(f"{topic}: {error}")
                 last = newest.time + newest.lasts

@@ -22,8 +22,8 @@ from zarm_ros_bridge.convert.joints import known_as
 from zarm_ros_bridge.convert.poses import pose_of
 from zarm_ros_bridge.convert.times import NANOSECONDS
 
-Send = Callable[[Any], None]
-"""Sends a target to a session, Tracking or Jogging."""
+Send = Callable[[Any], str | None]
+"""Sends a target to a session; returns what of it is not followed, if the answer says so."""
 LookUp = Callable[[Any, str], NDArray[np.float64] | None]
 """`look_up(header, field)`: the pose (4, 4) of the header's frame in the base frame, None if it is that; raises InvalidRequest."""
 
@@ -128,8 +128,11 @@ def chunk_of(message: JointTrajectory, robot: RobotDescriptor, _: LookUp) -> Sen
     times = [_seconds(point.time_from_start) for point in points]
     begins = _seconds(message.header.stamp)
 
-    def send(session: ChunkTracking) -> None:
-        session.follow(positions, times=times, start=begins or None, velocities=velocities)
+    def send(session: ChunkTracking) -> str | None:
+        over = session.follow(positions, times=times, start=begins or None, velocities=velocities).clipped
+        return (
+            "; ".join(f"the {one.quantity} of {one.joint} is {one.excess:.3g} over its limit" for one in over) or None
+        )
 
     return send
 
