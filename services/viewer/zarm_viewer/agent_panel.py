@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
+from functools import cached_property
 
 from viser import Icon
 
 from zarm_contract.messages import AgentAnswer, AgentQuestion
+from zarm_runtime.bus import Publisher
 from zarm_viewer.controls import button, put
 from zarm_viewer.panel_context import PanelContext
 
@@ -20,9 +22,8 @@ class AgentPanel:
     def __init__(self, panels: PanelContext) -> None:
         self._asked: tuple[AgentQuestion, float] | None = None
         self._answered = ""
-        connection = panels.robot.connection
-        self._answers = connection.publisher(connection.keys.agent_answer)
-        connection.bus.subscribe(connection.keys.agent_question, self._on_question)
+        self._connection = panels.robot.connection
+        self._connection.bus.subscribe(self._connection.keys.agent_question, self._on_question)
         self._folder = panels.server.gui.add_folder("An agent asks", visible=False)
         with self._folder:
             self._text = panels.server.gui.add_markdown("")
@@ -40,7 +41,11 @@ class AgentPanel:
     def _on_question(self, _: str, question: AgentQuestion) -> None:
         self._asked = question, time.monotonic()
 
+    @cached_property
+    def _answers(self) -> Publisher[AgentAnswer]:
+        return self._connection.publisher(self._connection.keys.agent_answer)
+
     def _answer(self, *, approve: bool) -> None:
         if self._asked is not None:
+            self._answers.put(AgentAnswer(question=self._asked[0].question, approve=approve))
             self._answered = self._asked[0].question
-            self._answers.put(AgentAnswer(question=self._answered, approve=approve))
