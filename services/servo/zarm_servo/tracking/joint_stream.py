@@ -17,6 +17,11 @@ _LEAST = 4
 _SMOOTH = 0.002, 0.05
 """Positions move steadily if they are this close (rad, share of how far they have moved) to a motion of constant acceleration."""
 
+_JITTER = 0.005
+"""Stamps are off by so much (s) where a program is held up between its position and its stamp."""
+_ROUGH = 0.15
+"""With a velocity at least, if they are this close (share) to one of constant velocity."""
+
 
 class JointStream:
     """The last positions of a stream for a robot."""
@@ -34,7 +39,7 @@ class JointStream:
         steadily, or faster than the robot can.
         """
         if self._samples and np.any(
-            np.abs(position - self._samples[-1][1]) > (stamp - self._samples[-1][0]) * self._fastest
+            np.abs(position - self._samples[-1][1]) > (stamp - self._samples[-1][0] + _JITTER) * self._fastest
         ):
             self._samples.clear()
         self._samples.append((stamp, position))
@@ -46,9 +51,18 @@ class JointStream:
             np.array([time - stamp for time, _ in self._samples]),
             np.stack([each for _, each in self._samples]),
         )
-        powers = np.vander(times, 3, increasing=True)
-        fitted, *_ = np.linalg.lstsq(powers, positions, rcond=None)
-        off = np.sqrt(((powers @ fitted - positions) ** 2).mean(axis=0))
-        if np.any(off > np.maximum(_SMOOTH[0], _SMOOTH[1] * np.ptp(positions, axis=0))):
-            return JointTarget(position, np.zeros_like(position))
-        return JointTarget(fitted[0], fitted[1], 2 * fitted[2])
+        span = np.ptp(positions, axis=0)
+        curved, off = _fitted(times, positions, 2)
+        if np.all(off <= np.maximum(_SMOOTH[0], _SMOOTH[1] * span)):
+            return JointTarget(curved[0], curved[1], 2 * curved[2])
+        straight, off = _fitted(times, positions, 1)
+        if np.all(off <= np.maximum(_SMOOTH[0], _ROUGH * span)):
+            return JointTarget(position, straight[1])
+        return JointTarget(position, np.zeros_like(position))
+
+
+def _fitted(times: Array, positions: Array, degree: int) -> tuple[Array, Array]:
+    """The polynomial through positions (N, J) at `times` (N,), lowest power first (degree + 1, J), and how far (J,) they are off it."""
+    powers: Array = np.vander(times, degree + 1, increasing=True)
+    found: Array = np.asarray(np.linalg.lstsq(powers, positions, rcond=None)[0], np.float64)
+    return found, np.asarray(np.sqrt(((powers @ found - positions) ** 2).mean(axis=0)))

@@ -380,7 +380,7 @@ class Session:
     def _towards(self, target: Target | None, age: float | None, coming: float, around: Surroundings) -> Step:
         """A step towards a live target, or to rest."""
         fresh = target is not None and age is not None and age <= STALE
-        wanted = ahead(target, coming) if target is not None and fresh else None
+        wanted = ahead(target, coming + self._delay) if target is not None and fresh else None
         wanted = self._local_goal.target(wanted, self._controller.state[0], self._scene.revision)
         return self._controller.step(wanted, age or 0.0, around)
 
