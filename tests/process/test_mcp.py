@@ -46,17 +46,18 @@ Asked = Callable[[Any, ElicitRequestParams], Awaitable[ElicitResult]]
 class Cell:
     """A robot with its processes, and what an agent's calls are recorded as."""
 
-    def __init__(self, stack: ExitStack, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, stack: ExitStack, folder: Path, name: str = "ur5e") -> None:
+        self.folder, self.name = folder, name
+        keys = Keys(name)
         self.endpoint = stack.enter_context(router())
         self.bus = stack.enter_context(Bus(self.endpoint))
         for service in ("planner", "executor"):
-            stack.enter_context(ServiceProcess(service, self.endpoint, folder, robot="ur5e")).wait_ready(self.bus, KEYS)
-        self.robot = stack.enter_context(zarm.connect(self.endpoint, "ur5e"))
+            stack.enter_context(ServiceProcess(service, self.endpoint, folder, robot=name)).wait_ready(self.bus, keys)
+        self.robot = stack.enter_context(zarm.connect(self.endpoint, name))
         self.measured: list[JointState] = []
-        self.bus.subscribe(KEYS.joint_states, lambda _, state: self.measured.append(state))
+        self.bus.subscribe(keys.joint_states, lambda _, state: self.measured.append(state))
         self.calls: list[AgentCall] = []
-        self.bus.subscribe(KEYS.agent_call, lambda _, call: self.calls.append(call))
+        self.bus.subscribe(keys.agent_call, lambda _, call: self.calls.append(call))
 
     def home(self) -> None:
         self.robot.scene.clear()
@@ -67,7 +68,7 @@ class Cell:
         """Run `use` with an agent under this policy."""
         file = self.folder / "policy.yaml"
         file.write_text(json.dumps(POLICY | policy))
-        command = ["mcp", "--robot", "ur5e", "--policy", str(file), "--connect", self.endpoint]
+        command = ["mcp", "--robot", self.name, "--policy", str(file), "--connect", self.endpoint]
 
         async def run() -> None:
             server = StdioServerParameters(command=ZARM, args=command, env=environment())
@@ -138,7 +139,7 @@ def test_an_agent_plans_looks_at_the_plan_and_executes_it_once(cell: Cell) -> No
     assert cell.robot.joint_state().position == pytest.approx(TURNED, abs=1e-3)
     eventually(lambda: len(cell.calls) == 5, "each call is told on the bus")
     assert [(call.tool, call.outcome == "done") for call in cell.calls] == [
-        ("get_state", True), ("plan", True), ("preview", True), ("execute", True), ("execute", False),
+        ("get_state", True), ("plan_to_joints", True), ("preview", True), ("execute", True), ("execute", False),
     ]  # fmt: skip
 
 
@@ -190,7 +191,7 @@ def test_a_person_approves_what_the_policy_says(cell: Cell, answer: str) -> None
     cell.serve(use, ask if answer in ("accept", "decline") else None, approval=["execute"], approval_timeout=timeout)
     unsubscribe()
     assert (away(cell) > 0.4) == approves
-    assert {"execute" in text for text in asked} == {True}
+    assert {"execute" in text and "move the tip to" in text for text in asked} == {True}
 
 
 def test_a_stop_is_possible_while_the_robot_moves_and_after_too_many_calls(cell: Cell) -> None:
@@ -212,6 +213,35 @@ def test_a_stop_is_possible_while_the_robot_moves_and_after_too_many_calls(cell:
     cell.serve(use, calls_per_minute=2)
     eventually(lambda: not any(cell.robot.joint_state().velocity), "the robot rests")
     assert away(cell) < 1.0
+
+
+def test_an_agent_slows_the_robot_down_but_not_up_beyond_what_somebody_else_has_set(cell: Cell) -> None:
+    async def use(agent: Agent) -> None:
+        await agent.get("set_speed", scale=0.5)
+        await agent.get("set_speed", scale=1.0)
+        cell.robot.speed(0.3)
+        assert "set the speed to 0.3" in await agent.refused("set_speed", scale=0.4)
+        await agent.get("set_speed", scale=0.2)
+        assert (await agent.get("set_speed", scale=0.3))["speed_scale"] == 0.3
+
+    cell.serve(use)
+    assert cell.robot.speed() == 0.3
+    cell.robot.speed(1.0)
+
+
+def test_an_agent_picks_and_places(tmp_path: Path) -> None:
+    async def use(agent: Agent) -> None:
+        await agent.get("add_object", name="table", shape="box", size=[0.6, 0.8, 0.04], position=[0.5, 0.0, -0.02])
+        await agent.get("add_object", name="cube", shape="box", size=[0.04, 0.04, 0.06], position=[0.5, 0.1, 0.032])
+        held = await agent.get("pick", name="cube", position=[0.5, 0.1, 0.03], width=0.04)
+        assert held["held"] == "cube"
+        assert [each["object"]["name"] for each in (await agent.get("get_scene"))["attached"]] == ["cube"]
+        await agent.get("place", position=[0.5, -0.15, 0.035])
+        (cube,) = [item for item in (await agent.get("get_scene"))["objects"] if item["name"] == "cube"]
+        assert cube["position"][1] == pytest.approx(-0.15, abs=0.01)
+
+    with ExitStack() as stack:
+        Cell(stack, tmp_path, "panda").serve(use, keep_out={})
 
 
 def test_nothing_an_agent_says_moves_the_robot_out_of_the_policy(cell: Cell) -> None:

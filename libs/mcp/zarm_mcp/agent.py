@@ -13,7 +13,7 @@ from zarm.values import Pose, made
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, ZarmError
 from zarm_contract.messages import Cuboid, Cylinder, GoalState, Message, Plan, SceneObject, Sphere
 from zarm_geometry.robot_model import RobotModel
-from zarm_mcp.guarded import Guarded
+from zarm_mcp.guarded import GuardedExecutor, GuardedPlanner
 from zarm_mcp.plan_store import PlanStore
 from zarm_mcp.policy import Policy, zone_name
 from zarm_mcp.policy_check import PolicyCheck
@@ -30,10 +30,13 @@ class Agent:
     def __init__(self, connection: Connection, model: RobotModel, policy: Policy) -> None:
         self._model, self._policy = model, policy
         self._robot = Robot(connection)
-        self._guarded = Guarded(connection, policy, PolicyCheck(model, policy))
-        self._grasping = Grasping(connection, self._guarded.planner, self._guarded.executor)
+        check = PolicyCheck(model, policy)
+        self._planner = GuardedPlanner(connection, policy, check)
+        self._executor = GuardedExecutor(connection, check)
+        self._grasping = Grasping(connection, self._planner, self._executor)
         self._plans = PlanStore()
         self._added: set[str] = set()
+        self._speed = self._fastest = 1.0  # what this agent has set, and may set
 
     def open(self) -> None:
         """Put the zones of the policy into the scene."""
@@ -111,11 +114,11 @@ class Agent:
 
     def plan(self, goal: Any, *, straight: bool = False) -> Json:
         """Plan to joints, a pose, or `home`."""
-        planner = self._guarded.planner
+        planner = self._planner
         if straight and not isinstance(goal, Pose):
             raise InvalidRequest("only a pose is reached on a straight line", field="straight")
         plan = planner.plan_program([Move(Line(goal))]) if straight else planner.plan(goal)
-        self._guarded.executor.demand(plan)
+        self._executor.demand(plan)
         self._plans.put(plan)
         return {
             "plan_id": plan.plan_id,
@@ -134,34 +137,53 @@ class Agent:
         """A plan that was made, and what is around, for a picture of it."""
         return self._plans.see(plan_id), list(self._robot.scene.objects().values())
 
+    def about(self, plan_id: str) -> str:
+        """What a plan does, for a person."""
+        plan = self._plans.see(plan_id)
+        x, y, z = plan.tip.position
+        return f"move the tip to {x:.3f}, {y:.3f}, {z:.3f} m in {plan.trajectory.time[-1]:.1f} s (plan {plan_id})"
+
     def execute(self, plan_id: str) -> Json:
         """Execute a plan, once, and wait for its end."""
-        with self._guarded.executor.alone():
+        with self._executor.alone():
             plan = self._plans.take(plan_id)
-            return _ended(self._guarded.executor.execute(plan))
+            return _ended(self._executor.execute(plan))
 
-    def pick(self, name: str, position: list[float], orientation: list[float] | None) -> Json:
+    def pick(
+        self, name: str, position: list[float], orientation: list[float] | None, width: float | None = None
+    ) -> Json:
         """Pick an object of the scene."""
-        self._demand_object(name)
-        with self._guarded.executor.alone():
-            held = self._grasping.pick(name, _pose(position, orientation))
+        if name.startswith(zone_name("")):
+            raise InvalidRequest("that is a zone of the policy, no object", field="name")
+        with self._executor.alone():
+            held = self._grasping.pick(name, pose(position, orientation), width=width)
         return {"held": name, "width": held.width}
 
     def place(self, position: list[float], orientation: list[float] | None) -> Json:
         """Place what is held."""
-        with self._guarded.executor.alone():
-            state = self._grasping.place(_pose(position, orientation))
+        with self._executor.alone():
+            state = self._grasping.place(pose(position, orientation))
         return {"width": state.width}
 
     def gripper(self, width: float) -> Json:
         """Move the gripper."""
-        with self._guarded.executor.alone():
+        with self._executor.alone():
             state = self._robot.gripper.move(width)
         return {"status": state.status, "width": state.width}
 
     def speed(self, scale: float) -> Json:
-        """Scale the speed of motions, also of one under way."""
-        return {"speed_scale": self._robot.speed(scale)}
+        """Scale the speed of motions, also of one under way; never above what somebody else has set."""
+        present = self._robot.speed()
+        if present != self._speed:
+            self._fastest = present
+        if scale > self._fastest:
+            raise ExecutionRefused(
+                f"somebody has set the speed to {self._fastest:g}; ask them to raise it",
+                code="limit_violated",
+                field="scale",
+            )
+        self._speed = self._robot.speed(scale)
+        return {"speed_scale": self._speed}
 
     def stop(self) -> Json:
         """Stop the robot."""
@@ -172,17 +194,9 @@ class Agent:
         if not self._policy.edit_scene:
             raise ExecutionRefused("the policy does not allow edits of the scene", code="limit_violated")
 
-    def _demand_object(self, name: str) -> None:
-        if name.startswith(zone_name("")):
-            raise InvalidRequest("that is a zone of the policy, no object", field="name")
-
 
 def pose(position: list[float], orientation: list[float] | None) -> Pose:
     """A pose of the tip, pointing down unless it says otherwise. Raises InvalidRequest."""
-    return _pose(position, orientation)
-
-
-def _pose(position: list[float], orientation: list[float] | None) -> Pose:
     return Pose(tuple(position), DOWN if orientation is None else tuple(orientation))
 
 

@@ -33,42 +33,42 @@ class Approvals:
     def __init__(self, connection: Connection, timeout: float) -> None:
         self._timeout = timeout
         self._questions = connection.publisher(connection.keys.agent_question)
-        self._answers: dict[str, bool] = {}
+        self._answers: dict[str, bool | None] = {}  # to open questions
         connection.bus.subscribe(connection.keys.agent_answer, self._on_answer)
 
     def _on_answer(self, _: str, answer: AgentAnswer) -> None:
-        self._answers[answer.question] = answer.approve
+        if answer.question in self._answers:
+            self._answers[answer.question] = answer.approve
 
     async def demand(self, tool: str, text: str, context: Context[Any]) -> None:
         """Raise ExecutionRefused unless a person approves."""
         question = AgentQuestion(question=secrets.token_hex(4), tool=tool, text=text)
-        approved: bool | None = None
+        self._answers[question.question] = None
 
         async def ask_on_page() -> None:
-            nonlocal approved
-            while True:
+            while self._answers[question.question] is None:
                 self._questions.put(question)
                 with anyio.move_on_after(_REPEATED):
-                    while question.question not in self._answers:
+                    while self._answers[question.question] is None:
                         await anyio.sleep(_LOOKED)
-                if question.question in self._answers:
-                    approved = self._answers.pop(question.question)
-                    tasks.cancel_scope.cancel()
+            tasks.cancel_scope.cancel()
 
         async def ask_client() -> None:
-            nonlocal approved
             try:
                 answer = await context.elicit(text, Approve)
             except Exception as error:  # a client that cannot ask says so in its own way
                 log.info("the client asks nobody tool=%s reason=%s", tool, error)
                 return
-            approved = answer.action == "accept" and answer.data.approve
+            self._answers[question.question] = answer.action == "accept" and answer.data.approve
             tasks.cancel_scope.cancel()
 
-        with anyio.move_on_after(self._timeout):
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(ask_on_page)
-                tasks.start_soon(ask_client)
+        try:
+            with anyio.move_on_after(self._timeout):
+                async with anyio.create_task_group() as tasks:
+                    tasks.start_soon(ask_on_page)
+                    tasks.start_soon(ask_client)
+        finally:
+            approved = self._answers.pop(question.question)
         if approved is None:
             raise ExecutionRefused(
                 f"nobody has approved {tool} within {self._timeout:g} s; ask the person to do it here, or on the page (`zarm view`)",

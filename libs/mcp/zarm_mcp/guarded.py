@@ -7,9 +7,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from zarm.calls import Calls
 from zarm.connection import Connection
-from zarm.executor import Executor, OnProgress
+from zarm.executor import Executor
 from zarm.planner import Planner
 from zarm.scene import Scene
 from zarm_contract.errors import Busy, InvalidRequest
@@ -59,19 +58,12 @@ class GuardedExecutor(Executor):
         self._check, self._scene = check, Scene(connection)
         self._moving = threading.Lock()
 
-    def execute(
-        self,
-        what: Plan | Trajectory | ExecuteRequest | str | None = None,
-        *,
-        preempt: bool = False,
-        replan: bool = False,
-        on_progress: OnProgress | None = None,
-    ) -> GoalState:
+    def execute(self, what: Plan | Trajectory | ExecuteRequest | str | None = None, **options: Any) -> GoalState:
         """`Executor.execute` of a plan that the policy allows. Raises ExecutionRefused for another."""
         if not isinstance(what, Plan):
             raise InvalidRequest("an agent executes plans only", field="plan")
         self.demand(what)
-        return super().execute(what, preempt=preempt, replan=replan, on_progress=on_progress)
+        return super().execute(what, **options)
 
     def demand(self, plan: Plan) -> None:
         """Raise ExecutionRefused unless the policy allows a plan with what is attached now."""
@@ -86,12 +78,3 @@ class GuardedExecutor(Executor):
             yield
         finally:
             self._moving.release()
-
-
-class Guarded(Calls):
-    """What an agent moves a robot with."""
-
-    def __init__(self, connection: Connection, policy: Policy, check: PolicyCheck) -> None:
-        super().__init__(connection)
-        self.planner = GuardedPlanner(connection, policy, check)
-        self.executor = GuardedExecutor(connection, check)

@@ -10,7 +10,18 @@ from pydantic import Field, model_validator
 from zarm_contract.messages import Cuboid, Positive, Quaternion, Scale, SceneObject, Vector3
 from zarm_contract.section import Section, read_section
 
-Approved = Literal["plan", "execute", "pick", "place", "gripper", "speed", "add_object", "remove_object"]
+Approved = Literal[
+    "add_object",
+    "remove_object",
+    "plan_to_pose",
+    "plan_to_joints",
+    "plan_home",
+    "execute",
+    "pick",
+    "place",
+    "move_gripper",
+    "set_speed",
+]
 """A tool that a person may have to approve."""
 _WALL, _WIDE = 2.0, 40.0
 """Thickness and width (m) of the walls around a workspace."""

@@ -47,17 +47,25 @@ class Gate:
         self._limiter = anyio.CapacityLimiter(_THREADS)
         self._stop_limiter = anyio.CapacityLimiter(_THREADS)
 
-    async def call(self, tool: str, work: Callable[[], Any], context: Context[Any], **arguments: object) -> Any:
-        """The result of `work`, run in a thread. Raises ToolError with what is wrong."""
+    async def call(
+        self,
+        tool: str,
+        work: Callable[[], Any],
+        context: Context[Any],
+        about: Callable[[], str] | None = None,
+        **arguments: object,
+    ) -> Any:
+        """The result of `work`, run in a thread. A person who has to approve it is told what it is `about`, or else the arguments.
+
+        Raises ToolError with what is wrong.
+        """
         outcome = "cancelled"
         try:
             if tool != "stop":
                 self._count()
                 if tool in self._policy.approval:
-                    said_so = json.dumps(arguments, default=str)[:_LONGEST_QUESTION]
-                    await self._approvals.demand(
-                        tool, f"The agent wants to {tool} {said_so}. Let the robot do it?", context
-                    )
+                    what = about() if about is not None else json.dumps(arguments, default=str)[:_LONGEST_QUESTION]
+                    await self._approvals.demand(tool, f"The agent wants to {tool.replace('_', ' ')}: {what}", context)
             limiter = self._stop_limiter if tool == "stop" else self._limiter
             result = await anyio.to_thread.run_sync(work, limiter=limiter)
         except ZarmError as error:
@@ -132,7 +140,7 @@ class Tools:
         """Plan a motion of the tip to a pose; without orientation the tool points down. `straight`: along a straight line. Nothing moves."""
         return dict(
             await self._gate.call(
-                "plan",
+                "plan_to_pose",
                 lambda: self._agent.plan(pose(position, orientation), straight=straight),
                 context,
                 position=position,
@@ -143,11 +151,11 @@ class Tools:
 
     async def plan_to_joints(self, context: Context[Any], joints: list[Number]) -> Json:
         """Plan a motion to joint positions (rad), in the order of get_state. Nothing moves."""
-        return dict(await self._gate.call("plan", lambda: self._agent.plan(joints), context, joints=joints))
+        return dict(await self._gate.call("plan_to_joints", lambda: self._agent.plan(joints), context, joints=joints))
 
     async def plan_home(self, context: Context[Any]) -> Json:
         """Plan a motion to the robot's home position. Nothing moves."""
-        return dict(await self._gate.call("plan", lambda: self._agent.plan(self._agent.home()), context, goal="home"))
+        return dict(await self._gate.call("plan_home", lambda: self._agent.plan(self._agent.home()), context))
 
     async def preview(self, context: Context[Any], plan_id: Name) -> Image:
         """A picture of a plan from above, from the side and from the front."""
@@ -160,20 +168,34 @@ class Tools:
 
     async def execute(self, context: Context[Any], plan_id: Name) -> Json:
         """Move the robot along a plan, once, and wait until it rests."""
-        return dict(await self._gate.call("execute", lambda: self._agent.execute(plan_id), context, plan_id=plan_id))
+        return dict(
+            await self._gate.call(
+                "execute",
+                lambda: self._agent.execute(plan_id),
+                context,
+                lambda: self._agent.about(plan_id),
+                plan_id=plan_id,
+            )
+        )
 
     async def pick(
-        self, context: Context[Any], name: Name, position: Vector, orientation: Quaternion | None = None
+        self,
+        context: Context[Any],
+        name: Name,
+        position: Vector,
+        orientation: Quaternion | None = None,
+        width: Number | None = None,
     ) -> Json:
-        """Grasp an object of the scene with the tip at this pose, and lift it by 0.1 m."""
+        """Grasp an object of the scene with the tip at this pose, and lift it by 0.1 m. The fingers close until the object stops them, or to `width` (m)."""
         return dict(
             await self._gate.call(
                 "pick",
-                lambda: self._agent.pick(name, position, orientation),
+                lambda: self._agent.pick(name, position, orientation, width),
                 context,
                 name=name,
                 position=position,
                 orientation=orientation,
+                width=width,
             )
         )
 
@@ -191,11 +213,11 @@ class Tools:
 
     async def move_gripper(self, context: Context[Any], width: Number) -> Json:
         """Open or close the gripper to a width (m)."""
-        return dict(await self._gate.call("gripper", lambda: self._agent.gripper(width), context, width=width))
+        return dict(await self._gate.call("move_gripper", lambda: self._agent.gripper(width), context, width=width))
 
     async def set_speed(self, context: Context[Any], scale: Annotated[float, Field(gt=0.0, le=1.0)]) -> Json:
-        """Scale the speed of all motions, also of one under way: 1 is as planned, which the policy limits."""
-        return dict(await self._gate.call("speed", lambda: self._agent.speed(scale), context, scale=scale))
+        """Slow down all motions, also one under way, or take that back: 1 is as planned. What somebody else has slowed down stays so."""
+        return dict(await self._gate.call("set_speed", lambda: self._agent.speed(scale), context, scale=scale))
 
     async def stop(self, context: Context[Any]) -> Json:
         """Stop the robot at once. Always allowed."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from zarm_contract.messages import GoalState, GoalStatus
-from zarm_servo.tracking.clock import StreamClock
+from zarm_servo.tracking.clock import StepTimes, StreamClock
 
 
 def goal(time: float, status: GoalStatus = "running") -> GoalState:
@@ -35,3 +35,22 @@ def test_it_is_put_right_by_what_is_told_and_knows_how_far_the_robot_is_behind()
     for word in range(50):
         clock.receive(goal(1.05 + 0.01 * word), 6.5 + 0.01 * word)
     assert clock.time(6.99) == pytest.approx(1.05 + 0.49 + 0.22, abs=2e-3)
+
+
+def test_steps_are_evenly_apart_until_the_estimate_is_far_off() -> None:
+    times = StepTimes()
+    first = times.next(0.004, 10.0)
+    assert first == 10.0
+    assert times.next(0.004, 10.005) == pytest.approx(10.004)
+    assert times.next(0.004, 10.1) == pytest.approx(10.1)
+
+
+def test_a_measured_lag_is_made_up_for_up_to_a_limit() -> None:
+    times, robot_lag = StepTimes(), 0.02
+    for step in range(400):
+        meant_for = times.next(0.004, 0.004 * step)
+        times.learn(robot_lag - (meant_for - 0.004 * step))
+    assert meant_for - 0.004 * step == pytest.approx(robot_lag, abs=0.003)
+    for _ in range(1000):
+        times.learn(1.0)
+    assert times.next(0.004, 5.0) == pytest.approx(5.05)

@@ -150,7 +150,7 @@ class ServoChunk(Message):
 
     `start` (default: `stamp`), `stamp`, when the chunk was made, and `observed`, when what it was made from was seen, are Unix times (s), on a
     clock that agrees with the servo's within 20 ms. `sequence` increases with every chunk of a session. The robot follows the chunk before until
-    `start`, then this one, on a bridge inside the limits of velocity, acceleration and jerk where the two do not meet. It brakes when the chunk
+    `start`, then this one; where the two do not meet, it goes over inside the limits of velocity, acceleration and jerk. It brakes when the chunk
     ends, or `expiry` (s) after `start` if that is earlier. `opening` (m) is that of the `gripper` at each point.
     """
 

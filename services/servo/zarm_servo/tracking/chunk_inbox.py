@@ -87,9 +87,7 @@ class ChunkInbox:
                     field="start",
                 )
             asked = self._motion(message, times, position)
-            reference = Reference(
-                message.sequence, asked, expires, message.gripper, self._openings(message, len(times))
-            )
+            reference = Reference(asked, expires, message.gripper, self._openings(message, len(times)))
             jump = self._jump(reference, max(start, time), position)
             lost = message.sequence - self._sequence - 1 if self._sequence else 0
             self._sequence = message.sequence
@@ -184,7 +182,9 @@ class ChunkInbox:
     @staticmethod
     def _demand_length(rows: tuple[object, ...], count: int, field: str) -> None:
         if len(rows) != count:
-            raise InvalidRequest(f"{len(rows)} points, and `time` has {count}; give one time for each", field=field)
+            raise InvalidRequest(
+                f"{len(rows)} entries, and the chunk has {count} points; give one for each", field=field
+            )
 
 
 def _times(message: ServoChunk) -> Array:

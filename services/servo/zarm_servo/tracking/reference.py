@@ -21,11 +21,10 @@ _NOTED = 1.001
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The motion of the chunk `sequence` on the servo's monotonic clock (s), which counts until `expires`. `openings` (N,), in m, are
+    """The motion of a chunk on the servo's monotonic clock (s), which counts until `expires`. `openings` (N,), in m, are
     those of the `gripper` at the points.
     """
 
-    sequence: int
     motion: TimedTrajectory
     expires: float
     gripper: str | None = None
