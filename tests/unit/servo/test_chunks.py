@@ -277,6 +277,17 @@ def test_what_the_limits_clip_is_named_with_its_joint_and_amount() -> None:
     robot.assert_sound()
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_joint_that_is_asked_to_be_too_fast_moves_at_its_limit(sign: float) -> None:
+    robot = Follower()
+    rows = HOME + sign * 4.0 * DT * np.arange(40)[:, None] * np.eye(6)[0]
+    robot.take(chunk_of(rows, 0.0))
+    robot.run(1.2)
+    fastest = np.abs([state[1, 0] for state in robot.states]).max()
+    assert fastest == pytest.approx(robot.limits.velocity[0], rel=0.01)
+    robot.assert_sound()
+
+
 def test_lost_and_late_chunks_are_told_and_their_rest_is_followed() -> None:
     robot, motion = Follower(), wave(0.4, 0.3)
     robot.stream(motion, 3.0)
