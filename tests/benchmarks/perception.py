@@ -129,7 +129,7 @@ def main() -> None:
             seeing.scenes.voxels, blocks = store, Blocks(voxels)
             for _ in range(8):
                 for one, source in zip(CAMERAS, sources, strict=True):
-                    depth = noisy(renderer.depth(one, simulation.snapshot()), rng)
+                    depth = noisy(renderer.depth(one, one.intrinsics, simulation.snapshot()), rng)
                     began = time.process_time()
                     voxels.integrate(depth, source.view(HOME), robot.at(HOME), PADDING)
                     took = time.process_time() - began

@@ -131,6 +131,8 @@ PERCEPTION = (
     Ear(KEYS.perception_state, m.Nothing, "latched"),
     Ear(KEYS.depth("wrist"), m.ImageHeader, "publication"),
     Ear(KEYS.depth("nobody"), m.ImageHeader, "publication"),
+    Ear(KEYS.cloud("wrist"), m.CloudHeader, "publication"),
+    Ear(KEYS.perception_load, m.SavedMap),
     Ear(
         KEYS.joint_states,
         m.JointState,

@@ -13,7 +13,7 @@ import pytest
 import zarm
 from support.harness import eventually
 from support.seeing_cell import BACK, FLOOR, FRONT, MODEL, POST, SIDE, THERE, UR5E, Cell, camera, cell_of
-from zarm_contract.messages import Cuboid
+from zarm_contract.messages import Camera, Cuboid
 from zarm_geometry import rows
 from zarm_perception.robot_shape import RobotShapes
 
@@ -125,3 +125,28 @@ def test_a_camera_on_the_wrist_sees_the_same_world_from_everywhere(tmp_path: Pat
         off = rows.distances(cell.points, rows.primitives([FLOOR, low])).min(axis=1)
         assert len(off) > 150
         assert np.quantile(off, 0.98) < 0.02
+
+
+def test_a_lidar_makes_the_same_map_which_is_saved_and_loaded(tmp_path: Path) -> None:
+    with cell_of(tmp_path) as cell:
+        cell.world(FLOOR, POST)
+        per = 360 / (2.0 * np.pi)
+        lidar = Camera(
+            name="top", position=(1.0, 0.9, 0.7), projection="spherical",
+            width=360, height=64, fx=per, fy=per, cx=179.5, cy=20.0, far=5.0,
+        )  # fmt: skip
+        state = cell.look(lidar)
+        assert 0.005 < state.cameras[0].robot < 0.5
+        off = rows.distances(cell.points, rows.primitives([FLOOR, POST])).min(axis=1)
+        assert off.max() < 0.02, "nothing is seen that is not there, the robot is not either"
+        cell.robot.perception.remove("top")
+        before = {*cell.robot.perception.points()}
+        cell.robot.perception.save(tmp_path / "cell.map")
+        cell.robot.perception.clear()
+        eventually(lambda: len(cell.points) == 0, "the map is empty")
+        loaded = cell.robot.perception.load(tmp_path / "cell.map")
+        assert (loaded.occupied, loaded.outside) == (len(before), 0)
+        assert {*cell.robot.perception.points()} == before
+        with pytest.raises(zarm.InvalidRequest, match="name a file that was saved"):
+            cell.robot.perception.load(tmp_path / "another.map")
+        assert (rows.distances(np.array([*before]), rows.primitives([POST]))[:, 0] < 0.02).sum() > 20

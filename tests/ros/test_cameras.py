@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 
 import zarm
 from support.harness import ServiceProcess, eventually, router
@@ -87,6 +87,71 @@ def test_images_of_a_ros_topic_become_voxels(encoding: str, big: bool, padding: 
     )
     np.testing.assert_allclose(points[:, 2], 0.2, atol=0.011)
     np.testing.assert_allclose(points.mean(axis=0)[:2], 0.7, atol=0.02)
+
+
+def cloud(kind: str, *, big: bool = False) -> PointCloud2:
+    """A square of points, 80 cm in front of the camera, as floats with a colour behind each."""
+    x, y = np.meshgrid(np.linspace(-0.2, 0.2, 60), np.linspace(-0.15, 0.15, 45))
+    points = np.zeros(x.size, np.dtype([(axis, kind) for axis in "xyz"] + [("rgb", "f4")]))
+    points["x"], points["y"], points["z"] = x.ravel(), y.ravel(), 0.8
+    if big:
+        points = points.astype(points.dtype.newbyteorder(">"))
+    size, code = (4, PointField.FLOAT32) if kind == "f4" else (8, PointField.FLOAT64)
+    fields = [PointField(name=axis, offset=n * size, datatype=code, count=1) for n, axis in enumerate("xyz")]
+    message = PointCloud2(
+        height=45, width=60, fields=fields, is_bigendian=big, point_step=points.itemsize, row_step=60 * points.itemsize
+    )
+    message.data = points.tobytes()
+    message.header.stamp = ros_time(time.time())
+    return message
+
+
+@pytest.mark.parametrize(("kind", "big"), [("f4", False), ("f8", False), ("f4", True)])
+def test_clouds_of_a_ros_topic_become_voxels(kind: str, big: bool, lab: Lab, node: Node) -> None:
+    publisher = node.create_publisher(PointCloud2, "/camera/points", qos_profile_sensor_data)
+    clouds = {"topic": "/camera/points", "topic_type": "sensor_msgs/msg/PointCloud2"}
+    lab.robot.perception.add(camera().model_copy(update=clouds))
+
+    def seen() -> bool:
+        lab.stand()
+        publisher.publish(cloud(kind, big=big))
+        return sum(len(one.cells) for one in lab.blocks.objects.values()) > 250
+
+    eventually(seen, "the camera sees forty centimetres by thirty")
+    points = np.concatenate(
+        [np.array(one.cells) * one.resolution + one.position for one in lab.blocks.objects.values()]
+    )
+    np.testing.assert_allclose(points[:, 2], 0.2, atol=0.011)
+    np.testing.assert_allclose(points.mean(axis=0)[:2], 0.7, atol=0.02)
+
+
+def test_intrinsics_come_from_the_camera_info_beside_the_images(lab: Lab, node: Node) -> None:
+    images = node.create_publisher(Image, TOPIC, qos_profile_sensor_data)
+    infos = node.create_publisher(CameraInfo, "/camera/depth/camera_info", qos_profile_sensor_data)
+    lab.robot.perception.add(Camera(name="front", position=(0.7, 0.7, 1.0), orientation=DOWN, topic=TOPIC))
+
+    def problems() -> str:
+        return " ".join(one.problem for one in lab.robot.perception.state().cameras)
+
+    eventually(lambda: "no camera_info came" in problems(), "its intrinsics are missing")
+    info = CameraInfo(width=64, height=48)
+    info.k = [100.0, 0.0, 31.5, 0.0, 100.0, 23.5, 0.0, 0.0, 1.0]
+
+    def seen() -> bool:
+        lab.stand()
+        infos.publish(info)
+        images.publish(flat(0.8, "16UC1"))
+        return sum(len(one.cells) for one in lab.blocks.objects.values()) > 400
+
+    eventually(seen, "the camera sees half a metre by forty centimetres")
+    assert lab.robot.perception.cameras()[0].intrinsics == (64, 48, 100.0, 100.0, 31.5, 23.5)
+    info.k = [120.0, 0.0, 31.5, 0.0, 120.0, 23.5, 0.0, 0.0, 1.0]
+
+    def zoomed() -> bool:
+        infos.publish(info)
+        return lab.robot.perception.cameras()[0].fx == 120.0
+
+    eventually(zoomed, "the intrinsics have changed")
 
 
 def test_a_camera_that_is_removed_is_listened_to_no_more(lab: Lab, node: Node) -> None:

@@ -49,7 +49,9 @@ _CAMERA = m.Camera(
     near=0.2,
     far=3.0,
     rate=15.0,
+    projection="spherical",
     topic="/camera/depth/image_rect_raw",
+    topic_type="sensor_msgs/msg/PointCloud2",
 )
 _TOOL_MOTION = m.ToolMotion(length=0.4, speed=0.1, rotational_speed=0.7, speed_share=0.875)
 _TOO_NEAR = m.TooNear(pair=("link_3", "table"), distance=0.002, margin=0.03, time=0.75)
@@ -554,6 +556,9 @@ EXAMPLES: tuple[Message, ...] = (
     m.CameraChange(add=_CAMERA),
     m.CameraChange(remove="wrist"),
     m.ImageHeader(stamp=1.75e9, width=640, height=480, encoding="16UC1"),
+    m.CloudHeader(stamp=1.75e9, points=65536),
+    m.SavedMap(lower=(-1.0, -1.0, -0.25), resolution=0.02, shape=(2, 1, 1), states="eJxjAAAAAwAC"),
+    m.LoadedMap(occupied=4921, outside=12),
     m.VoxelBlock(position=(-0.99, -0.99, -0.24), resolution=0.02, cells="gA" + "A" * 681 + "="),
     m.CameraState(name="wrist", images=12, age=0.05, took=0.008, valid=0.75, robot=0.125, problem="no images"),
     m.PerceptionState(

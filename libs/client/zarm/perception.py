@@ -3,12 +3,29 @@
 from __future__ import annotations
 
 from base64 import b64decode
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from zarm.calls import Calls
+from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.image import PIXEL_BYTES, encode_image
-from zarm_contract.messages import Camera, CameraChange, ImageHeader, Nothing, PerceptionState, Vector3, VoxelBlock
+from zarm_contract.messages import (
+    Camera,
+    CameraChange,
+    CloudHeader,
+    ImageHeader,
+    LoadedMap,
+    Nothing,
+    PerceptionState,
+    SavedMap,
+    Vector3,
+    VoxelBlock,
+)
 from zarm_contract.messages.perception import BLOCK
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 
 class Perception(Calls):
@@ -43,6 +60,16 @@ class Perception(Calls):
         header = ImageHeader.model_validate({"stamp": stamp, "width": width, "height": height, "encoding": encoding})
         self.connection.publisher(self._keys.depth(camera)).put_encoded(encode_image(header, pixels))
 
+    def publish_cloud(self, camera: str, stamp: float, points: ArrayLike) -> None:
+        """Publish a cloud that was taken at `stamp` (Unix time, s): points (n, 3) in m, in the frame of the camera or LiDAR."""
+        import numpy as np
+
+        found = np.ascontiguousarray(points, "<f4")
+        if found.ndim != 2 or found.shape[1] != 3:
+            raise InvalidRequest(f"points of the shape {found.shape}; give (n, 3)", field="points")
+        header = CloudHeader(stamp=stamp, points=len(found))
+        self.connection.publisher(self._keys.cloud(camera)).put_encoded(encode_image(header, found.tobytes()))
+
     def points(self) -> list[Vector3]:
         """The centres of the occupied voxels (m, base frame)."""
         import numpy as np
@@ -62,6 +89,22 @@ class Perception(Calls):
     def clear(self) -> None:
         """Forget what the cameras have seen."""
         self._ask(self._keys.perception_clear, Nothing())
+
+    def save(self, path: str | Path) -> None:
+        """Save the voxel map in a file."""
+        saved = encode(self._ask(self._keys.perception_save, Nothing()))
+        try:
+            Path(path).write_bytes(saved)
+        except OSError as error:
+            raise InvalidRequest(f"{path}: {error.strerror}; name a file that can be written", field="path") from error
+
+    def load(self, path: str | Path) -> LoadedMap:
+        """Make a map that was saved the voxel map; cameras change it from then on. Returns how many of its voxels are occupied."""
+        try:
+            saved = decode(SavedMap, Path(path).read_bytes())
+        except OSError as error:
+            raise InvalidRequest(f"{path}: {error.strerror}; name a file that was saved", field="path") from error
+        return self._ask(self._keys.perception_load, saved)
 
     def state(self) -> PerceptionState:
         """What the cameras see, and whether they do."""

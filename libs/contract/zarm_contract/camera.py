@@ -7,31 +7,33 @@ from typing import Annotated
 from pydantic import Field
 
 from zarm_contract.messages import Camera, Positive, Quaternion, Vector3
-from zarm_contract.messages.perception import Pixels
+from zarm_contract.messages.perception import Pixels, Projection, TopicType
 from zarm_contract.section import Section
 
 
 class DescribedCamera(Section):
-    """A depth camera: its optical frame, z forward, x right, y down, is fixed to a link."""
+    """A depth camera or a LiDAR: its frame is fixed to a link. Optical, z forward, x right, y down, for `pinhole`; x forward, y left, z up for `spherical`."""
 
     link: str | None = None
     """The link that carries it. Left out: `base_link`."""
     position: Vector3
-    """Where its optical frame is in the frame of the link (m)."""
+    """Where its frame is in the frame of the link (m)."""
     orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
-    """How its optical frame is turned, as a quaternion."""
-    width: Pixels
-    """Pixels in a row."""
-    height: Pixels
+    """How its frame is turned, as a quaternion."""
+    projection: Projection = "pinhole"
+    """`pinhole`: a camera. `spherical`: columns are azimuths from left to right, rows elevations from top to bottom, as of a LiDAR."""
+    width: Pixels | None = None
+    """Pixels in a row. Left out, as all intrinsics: those of the `camera_info` beside the ROS topic of its images."""
+    height: Pixels | None = None
     """Rows."""
-    fx: Positive
-    """Focal length along a row (pixels)."""
-    fy: Positive
-    """Focal length along a column (pixels)."""
-    cx: float
-    """Principal point in a row (pixels)."""
-    cy: float
-    """Principal point in a column (pixels)."""
+    fx: Positive | None = None
+    """Focal length along a row (pixels); of a `spherical` one pixels in a radian."""
+    fy: Positive | None = None
+    """Focal length along a column (pixels); of a `spherical` one pixels in a radian."""
+    cx: float | None = None
+    """Principal point in a row (pixels): the column that looks forward."""
+    cy: float | None = None
+    """Principal point in a column (pixels): the row that looks forward."""
     near: Positive = 0.15
     """Least depth that counts (m)."""
     far: Positive = 4.0
@@ -39,7 +41,9 @@ class DescribedCamera(Section):
     rate: Annotated[float, Field(gt=0, le=60)] = 10.0
     """Images in a second."""
     topic: Annotated[str, Field(min_length=1, max_length=255)] | None = None
-    """ROS topic with its depth images, of type `sensor_msgs/msg/Image`, which the bridge takes. Left out: images come on Zenoh."""
+    """ROS topic with its depth images or clouds, which the bridge takes. Left out: they come on Zenoh."""
+    topic_type: TopicType = "sensor_msgs/msg/Image"
+    """The type of the ROS topic."""
 
     def message(self, name: str) -> Camera:
         """The camera of this name."""

@@ -1,31 +1,32 @@
-"""Images on the bus: a header in JSON, the end of the line, and the pixels."""
+"""Images and clouds on the bus: a header in JSON, the end of the line, and the pixels or points."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TypeVar
 
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import ImageHeader
+from zarm_contract.messages import CloudHeader, ImageHeader
+
+M = TypeVar("M", ImageHeader, CloudHeader)
 
 PIXEL_BYTES: Mapping[str, int] = {"16UC1": 2, "32FC1": 4}
 """Bytes of a pixel in each encoding."""
+POINT_BYTES = 12
+"""Bytes of a point: x, y, z."""
 _MOST = 1024
 """Longest header, in bytes."""
 
 
-def encode_image(header: ImageHeader, pixels: bytes) -> bytes:
-    """An image from its pixels, row by row in little-endian."""
-    return encode(header) + b"\n" + pixels
+def encode_image(header: ImageHeader | CloudHeader, data: bytes) -> bytes:
+    """An image from its pixels, row by row, or a cloud from its points, in little-endian."""
+    return encode(header) + b"\n" + data
 
 
 def decode_image(payload: bytes) -> tuple[ImageHeader, memoryview]:
     """Header and pixels of an image. Raises InvalidRequest if these are not as many as the header says."""
-    end = payload.find(b"\n", 0, _MOST)
-    if end < 0:
-        raise InvalidRequest("an image begins with its header, a line of JSON; the pixels follow", field="payload")
-    header = decode(ImageHeader, payload[:end])
-    pixels = memoryview(payload)[end + 1 :]
+    header, pixels = _split(payload, ImageHeader, "an image", "pixels")
     expected = header.width * header.height * PIXEL_BYTES[header.encoding]
     if len(pixels) != expected:
         raise InvalidRequest(
@@ -33,3 +34,21 @@ def decode_image(payload: bytes) -> tuple[ImageHeader, memoryview]:
             field="payload",
         )
     return header, pixels
+
+
+def decode_cloud(payload: bytes) -> tuple[CloudHeader, memoryview]:
+    """Header and points of a cloud. Raises InvalidRequest if these are not as many as the header says."""
+    header, points = _split(payload, CloudHeader, "a cloud", "points")
+    if len(points) != header.points * POINT_BYTES:
+        raise InvalidRequest(
+            f"{len(points)} bytes of points, where {header.points} of them take {header.points * POINT_BYTES}",
+            field="payload",
+        )
+    return header, points
+
+
+def _split(payload: bytes, model: type[M], what: str, follow: str) -> tuple[M, memoryview]:
+    end = payload.find(b"\n", 0, _MOST)
+    if end < 0:
+        raise InvalidRequest(f"{what} begins with its header, a line of JSON; the {follow} follow", field="payload")
+    return decode(model, payload[:end]), memoryview(payload)[end + 1 :]

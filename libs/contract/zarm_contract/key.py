@@ -129,13 +129,13 @@ class Topic(Published[M]):
         return self
 
 
-class ImageTopic(Topic[M]):
-    """Images: a message, the end of the line, and the pixels."""
+class BinaryTopic(Topic[M]):
+    """Images or clouds: a message, the end of the line, and the bytes of pixels or points."""
 
     @property
     def messages(self) -> str:
         """The name of the header."""
-        return f"{self.model.__name__} and pixels"
+        return f"{self.model.__name__} and bytes"
 
 
 class Latched(Published[M]):

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import get_args
 
-from zarm_contract.key import Family, ImageTopic, Key, Latched, OfService, Query, Setting, Token, Topic
+from zarm_contract.key import BinaryTopic, Family, Key, Latched, OfService, Query, Setting, Token, Topic
 from zarm_contract.messages import (
     Accepted,
     AgentAnswer,
@@ -22,6 +22,7 @@ from zarm_contract.messages import (
     CheckRequest,
     CheckResults,
     ChunkAccepted,
+    CloudHeader,
     DriverCommand,
     DriverFault,
     DriverGripperCommand,
@@ -42,6 +43,7 @@ from zarm_contract.messages import (
     IkSolutions,
     ImageHeader,
     JointState,
+    LoadedMap,
     LoadWorld,
     Message,
     Nothing,
@@ -56,6 +58,7 @@ from zarm_contract.messages import (
     PlanRequest,
     ProgramRequest,
     ReplaceTrajectory,
+    SavedMap,
     Scene,
     SceneEdit,
     SceneEdited,
@@ -424,10 +427,19 @@ class Keys:
         by=DRIVES,
     )
     depth = Family(
-        ImageTopic(
+        BinaryTopic(
             "perception/depth/<camera>",
             ImageHeader,
             "Depth images of a camera: the header as a line of JSON, then the pixels.",
+            by=("perception", "driver", "bridge", "operator"),
+            droppable=True,
+        )
+    )
+    cloud = Family(
+        BinaryTopic(
+            "perception/cloud/<camera>",
+            CloudHeader,
+            "Clouds of a camera or a LiDAR: the header as a line of JSON, then the points.",
             by=("perception", "driver", "bridge", "operator"),
             droppable=True,
         )
@@ -449,6 +461,17 @@ class Keys:
     )
     perception_clear = Query(
         "perception/clear", Nothing, Nothing, "Forget what the cameras have seen.", to="perception", by=DRIVES
+    )
+    perception_save = Query(
+        "perception/save", Nothing, SavedMap, "The voxel map, to be saved.", to="perception", by=DRIVES
+    )
+    perception_load = Query(
+        "perception/load",
+        SavedMap,
+        LoadedMap,
+        "Make a saved voxel map the map; cameras change it from then on.",
+        to="perception",
+        by=DRIVES,
     )
 
     # robot and ghost

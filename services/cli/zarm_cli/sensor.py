@@ -86,6 +86,29 @@ def clear(connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
 
 
 @app.command()
+def save(
+    file: Annotated[Path, typer.Argument(help="File for the map; one that is there is replaced.")],
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """Save the voxel map."""
+    with connected(connect, name) as robot:
+        robot.perception.save(file)
+
+
+@app.command()
+def load(
+    file: Annotated[Path, typer.Argument(help="File that `zarm sensor save` wrote.")],
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """Make a saved voxel map the map; cameras change it from then on."""
+    with connected(connect, name) as robot:
+        loaded = robot.perception.load(file)
+    out.print(f"{loaded.occupied} voxels are occupied, {loaded.outside} of these outside the box of the map")
+
+
+@app.command()
 def watch(connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
     """Print once a second what the cameras see, until Ctrl-C."""
     with connected(connect, name) as robot:

@@ -16,8 +16,10 @@ from zarm_contract.messages import (
     Camera,
     CameraChange,
     Cameras,
+    LoadedMap,
     Nothing,
     PerceptionState,
+    SavedMap,
     Scene,
     VoxelBlock,
 )
@@ -28,6 +30,7 @@ from zarm_perception.blocks import Blocks
 from zarm_perception.cameras import CameraSource, Image
 from zarm_perception.joint_history import JointHistory
 from zarm_perception.robot_shape import RobotShapes
+from zarm_perception.saved_map import load, save
 from zarm_perception.voxel_map import VoxelMap
 
 log = logging.getLogger(__name__)
@@ -116,6 +119,13 @@ class Mapping:
 
     def on_image(self, key: str, payload: bytes) -> None:
         """Take a depth image on the key of its camera."""
+        self._receive(key, payload, CameraSource.read)
+
+    def on_cloud(self, key: str, payload: bytes) -> None:
+        """Take a cloud on the key of its camera."""
+        self._receive(key, payload, CameraSource.read_cloud)
+
+    def _receive(self, key: str, payload: bytes, read: Callable[[CameraSource, bytes], Image | None]) -> None:
         name = key.rpartition("/")[2]
         source = self._sources.get(name)
         if source is None:
@@ -124,7 +134,7 @@ class Mapping:
                 log.warning("images are dropped camera=%s reason=no_such_camera", name)
             return
         try:
-            image = source.read(payload)
+            image = read(source, payload)
         except InvalidRequest as error:
             source.refused(str(error))
             return
@@ -139,6 +149,18 @@ class Mapping:
             self._voxels.forget()
             self._publish_changes()
         return Nothing()
+
+    def save(self, _: Nothing) -> SavedMap:
+        """The map, to be saved."""
+        with self._map_lock:
+            return save(self._voxels)
+
+    def load(self, saved: SavedMap) -> LoadedMap:
+        """Make a saved map the map. Raises InvalidRequest."""
+        with self._map_lock:
+            loaded = load(self._voxels, saved)
+            self._publish_changes()
+        return loaded
 
     # -- the map, in a thread of its own --
 

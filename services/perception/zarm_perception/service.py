@@ -62,7 +62,10 @@ def start(service: Service) -> Iterator[None]:
         bus.watch(keys.scene, mapping.on_scene)
         bus.serve(keys.cameras, change, workers=1)
         bus.serve(keys.perception_clear, mapping.clear, workers=1)
+        bus.serve(keys.perception_save, mapping.save, workers=1)
+        bus.serve(keys.perception_load, mapping.load, workers=1)
         bus.listen(keys.depth("*"), mapping.on_image)
+        bus.listen(keys.cloud("*"), mapping.on_cloud)
         service.impairment = lambda: None if mapping.alive else "it takes no images any more; see its log"
         service.ready()
         yield

@@ -77,7 +77,7 @@ class VoxelMap:
         """Take an image (h, w), without what is within `padding` (m) of the robot."""
         self._images += 1
         counted = np.empty_like(depth)
-        cleaned(depth, view.near, view.far, counted)
+        cleaned(depth, view, counted)
         mask = np.zeros(depth.shape, np.uint8)
         mask_robot(counted, view, robot.parts, robot.balls, padding, mask)
         take_out(self._grid, robot.parts, robot.balls, _DIAGONAL * self.resolution)  # nothing else is where it is
@@ -96,6 +96,17 @@ class VoxelMap:
         self._grid.changed[:] = 1
         self._grid.state[:] = UNSEEN
         self._grid.passed[:] = 0
+
+    def load(self, states: NDArray[np.uint8], first: tuple[int, int, int]) -> int:
+        """Replace the map by voxels (nx, ny, nz), of which the first is at the index `first`, which may be outside. Returns how many occupied ones lie
+        outside the box.
+        """
+        self.forget()
+        here = tuple(slice(max(0, f), max(0, f + n)) for f, n in zip(first, states.shape, strict=True))
+        target = self._grid.state[here]
+        there = tuple(slice(max(0, -f), max(0, -f) + n) for f, n in zip(first, target.shape, strict=True))
+        target[:] = states[there]
+        return int(np.count_nonzero(states == OCCUPIED) - np.count_nonzero(target == OCCUPIED))
 
     @property
     def occupied(self) -> Cells:

@@ -9,16 +9,18 @@ import sys
 
 import numpy as np
 
-from zarm_perception.kernels.integration import View
+from zarm_perception.kernels.integration import View, project
 from zarm_perception.voxel_map import RobotShape, VoxelMap
 
 
 def warm_up() -> None:
-    """Take an image of nothing."""
+    """Take an image and a cloud of nothing."""
     view = View(100.0, 100.0, 15.5, 15.5, np.eye(3), np.zeros(3), 0.1, 2.0)
     voxels = VoxelMap(np.zeros(3), np.ones(3), 0.1)
     part = np.zeros((1, 17))
-    voxels.integrate(np.ones((32, 32), np.float32), view, RobotShape(part, np.zeros((1, 4))), 0.0)
+    image = np.ones((32, 32), np.float32)
+    project(np.ones((1, 3), np.float32), view, image)
+    voxels.integrate(image, view, RobotShape(part, np.zeros((1, 4))), 0.0)
 
 
 def main() -> int:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.image import encode_image
-from zarm_contract.messages import Camera, Cameras, ImageHeader
+from zarm_contract.messages import Camera, Cameras, ImageHeader, Intrinsics
 from zarm_physics_sim.arm import PhysicalArm
 from zarm_physics_sim.simulation import Simulation
 
@@ -41,7 +41,7 @@ class DepthRenderer:
         """Give the graphics memory back."""
         self._renderer.close()
 
-    def depth(self, camera: Camera, data: Any) -> NDArray[np.uint16]:
+    def depth(self, camera: Camera, size: Intrinsics, data: Any) -> NDArray[np.uint16]:
         """The depths (h, w) in mm that a camera sees in the state `data`, 0 beyond what a pixel holds."""
         renderer = self._renderer
         place, turn = self.simulation.frame(data, camera.link, camera.position, camera.orientation)
@@ -49,12 +49,27 @@ class DepthRenderer:
         for eye in renderer.scene.camera:
             eye.pos, eye.forward, eye.up = place, turn[:, 2], -turn[:, 1]
             eye.frustum_near, eye.frustum_far = _NEAR, _FAR
-            left, right = -(camera.cx + 0.5) / camera.fx, (camera.width - 0.5 - camera.cx) / camera.fx
-            top, bottom = (camera.cy + 0.5) / camera.fy, -(camera.height - 0.5 - camera.cy) / camera.fy
+            left, right = -(size.cx + 0.5) / size.fx, (size.width - 0.5 - size.cx) / size.fx
+            top, bottom = (size.cy + 0.5) / size.fy, -(size.height - 0.5 - size.cy) / size.fy
             eye.frustum_center, eye.frustum_width = 0.5 * (left + right) * _NEAR, 0.5 * (right - left) * _NEAR
             eye.frustum_top, eye.frustum_bottom = top * _NEAR, bottom * _NEAR
-        depth = renderer.render()
-        return np.where(depth < _MOST, np.rint(1000.0 * depth), 0.0).astype(np.uint16)
+        return _millimetres(renderer.render())
+
+
+def ranges(simulation: Simulation, camera: Camera, size: Intrinsics, data: Any) -> NDArray[np.uint16]:
+    """The ranges (h, w) in mm that a LiDAR measures in the state `data`, 0 where there is nothing."""
+    place, turn = simulation.frame(data, camera.link, camera.position, camera.orientation)
+    azimuth = (np.arange(size.width) - size.cx) / size.fx
+    elevation = (size.cy - np.arange(size.height)) / size.fy
+    level = np.cos(elevation)[:, None]
+    forward, left = level * np.cos(azimuth), -level * np.sin(azimuth)
+    up = np.broadcast_to(np.sin(elevation)[:, None], forward.shape)
+    rays = np.stack((forward, left, up), axis=-1) @ turn.T
+    return _millimetres(simulation.cast(data, place, rays.reshape(-1, 3), _FAR).reshape(rays.shape[:2]))
+
+
+def _millimetres(depth: NDArray[np.floating[Any]]) -> NDArray[np.uint16]:
+    return np.where((depth >= 0.0) & (depth < _MOST), np.rint(1000.0 * depth), 0.0).astype(np.uint16)
 
 
 class SimulatedCameras:
@@ -103,15 +118,22 @@ class SimulatedCameras:
                 renderer.close()
 
     def _take(self, camera: Camera, renderers: dict[tuple[int, int], DepthRenderer]) -> None:
-        size = (camera.width, camera.height)
+        size = camera.intrinsics
+        if size is None:
+            return
         simulation, data, stamp = self._arm.picture()
-        known = renderers.get(size)
-        if known is None or known.simulation is not simulation:
-            if known is not None:
-                known.close()
-            known = renderers[size] = DepthRenderer(simulation, *size)
-            simulation, data, stamp = self._arm.picture()
-            if simulation is not known.simulation:
-                return
-        header = ImageHeader(stamp=stamp, width=camera.width, height=camera.height, encoding="16UC1")
-        self._publish(camera.name, encode_image(header, known.depth(camera, data).tobytes()))
+        if camera.projection == "spherical":
+            pixels = ranges(simulation, camera, size, data)
+        else:
+            shape = (size.width, size.height)
+            known = renderers.get(shape)
+            if known is None or known.simulation is not simulation:
+                if known is not None:
+                    known.close()
+                known = renderers[shape] = DepthRenderer(simulation, *shape)
+                simulation, data, stamp = self._arm.picture()
+                if simulation is not known.simulation:
+                    return
+            pixels = known.depth(camera, size, data)
+        header = ImageHeader(stamp=stamp, width=size.width, height=size.height, encoding="16UC1")
+        self._publish(camera.name, encode_image(header, pixels.tobytes()))

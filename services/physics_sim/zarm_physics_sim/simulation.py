@@ -268,6 +268,14 @@ class Simulation:
         carried = body.xmat.reshape(3, 3)
         return np.asarray(body.xpos + carried @ position), np.asarray(carried @ turn.reshape(3, 3))
 
+    def cast(self, data: Any, place: Array, rays: Array, cutoff: float) -> Array:
+        """How far (n,) in m each of the `rays` (n, 3), unit vectors, gets from `place` (3,) in the state `data`: -1 where it meets nothing up to `cutoff`."""
+        distances, met = np.full(len(rays), -1.0), np.full(len(rays), -1, np.int32)
+        mujoco.mj_multiRay(
+            self._model, data, place, rays.ravel(), None, True, -1, met, distances, None, len(rays), cutoff
+        )
+        return distances
+
     def contacts(self) -> Iterator[Contact]:
         """Links, objects and the floor that press on each other."""
         force = np.zeros(6)

@@ -1,63 +1,110 @@
-"""Depth images of ROS cameras for the voxel map."""
+"""Depth images and clouds of ROS cameras for the voxel map."""
 
 from __future__ import annotations
 
 import logging
 import threading
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
 
 import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 
+from zarm_contract.errors import ZarmError
 from zarm_contract.image import PIXEL_BYTES, encode_image
-from zarm_contract.messages import Camera, Cameras, ImageHeader
+from zarm_contract.messages import Camera, Cameras, CloudHeader, ImageHeader, Intrinsics
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.ros import Ros
 
 log = logging.getLogger(__name__)
 
+T = TypeVar("T", Image, PointCloud2)
+
+_FLOATS = {PointField.FLOAT32: "f4", PointField.FLOAT64: "f8"}
+
 
 class CameraTopics:
-    """Passes the images of each camera that has a topic on ROS to the perception, from cameras that are added later too."""
+    """Passes the images or clouds of each camera that has a topic on ROS to the perception, from cameras that are added later too.
+    Intrinsics that a camera leaves out are those of its `camera_info`.
+    """
 
     def __init__(self, ros: Ros, engine: Engine) -> None:
         self._ros, self._engine = ros, engine
         self._turn = threading.Lock()
-        self._topics: dict[str, tuple[str, Any]] = {}
+        self._cameras: dict[str, Camera] = {}
+        self._topics: dict[str, tuple[tuple[str, str], list[Any]]] = {}
         engine.bus.watch(engine.keys.cameras, self._changed)
 
     def _changed(self, _key: str, cameras: Cameras) -> None:
-        wanted = {camera.name: camera.topic for camera in cameras.cameras if camera.topic}
         with self._turn:
-            for name, (topic, subscription) in [*self._topics.items()]:
+            self._cameras = {camera.name: camera for camera in cameras.cameras}
+            wanted = {camera.name: (camera.topic, camera.topic_type) for camera in cameras.cameras}
+            for name, (topic, subscriptions) in [*self._topics.items()]:
                 if wanted.get(name) != topic:
-                    self._ros.node.destroy_subscription(subscription)
+                    for subscription in subscriptions:
+                        self._ros.node.destroy_subscription(subscription)
                     del self._topics[name]
             for camera in cameras.cameras:
                 if camera.topic and camera.name not in self._topics:
-                    self._topics[camera.name] = camera.topic, self._subscription(camera, camera.topic)
+                    topic = (camera.topic, camera.topic_type)
+                    self._topics[camera.name] = topic, [*self._subscriptions(camera, camera.topic)]
 
-    def _subscription(self, camera: Camera, topic: str) -> Any:
-        publisher = self._engine.client.connection.publisher(self._engine.keys.depth(camera.name))
+    def _subscriptions(self, camera: Camera, topic: str) -> Iterator[Any]:
+        client, keys = self._engine.client, self._engine.keys
+        if camera.topic_type == "sensor_msgs/msg/PointCloud2":
+            clouds = client.connection.publisher(keys.cloud(camera.name))
+            yield self._subscription(PointCloud2, topic, clouds.put_encoded, _cloud)
+            return
+        images = client.connection.publisher(keys.depth(camera.name))
+        yield self._subscription(Image, topic, images.put_encoded, _image)
+        if camera.intrinsics is None:
+            info_topic = f"{topic.rpartition('/')[0]}/camera_info"
+            yield self._ros.node.create_subscription(
+                CameraInfo,
+                info_topic,
+                lambda info: self._informed(camera.name, info_topic, info),
+                qos_profile_sensor_data,
+                callback_group=MutuallyExclusiveCallbackGroup(),
+            )
+
+    def _subscription(
+        self, kind: type[T], topic: str, publish: Callable[[bytes], object], encode: Callable[[T], bytes]
+    ) -> Any:
         refused = ""
 
-        def receive(image: Image) -> None:
+        def receive(message: T) -> None:
             nonlocal refused
             try:
-                publisher.put_encoded(_encoded(image))
+                publish(encode(message))
             except ValueError as error:
                 if str(error) != refused:
                     refused = str(error)
                     log.warning("an image cannot be used topic=%s reason=%s", topic, error)
 
         return self._ros.node.create_subscription(
-            Image, topic, receive, qos_profile_sensor_data, callback_group=MutuallyExclusiveCallbackGroup()
+            kind, topic, receive, qos_profile_sensor_data, callback_group=MutuallyExclusiveCallbackGroup()
         )
 
+    def _informed(self, name: str, topic: str, info: CameraInfo) -> None:
+        """Complete the camera by its intrinsics, at first and when they change."""
+        camera = self._cameras.get(name)
+        if camera is None:
+            return
+        size = Intrinsics(info.width, info.height, info.k[0], info.k[4], info.k[2], info.k[5])
+        if size == camera.intrinsics:
+            return
+        if any(info.d):
+            log.warning("the intrinsics cannot be used topic=%s reason=images are distorted; rectify them", topic)
+            return
+        try:
+            self._engine.client.perception.add(Camera.model_validate({**camera.model_dump(), **size._asdict()}))
+        except (ZarmError, ValueError) as error:
+            log.warning("the intrinsics cannot be used topic=%s reason=%s", topic, error)
 
-def _encoded(image: Image) -> bytes:
+
+def _image(image: Image) -> bytes:
     """The image as the perception reads it. Raises ValueError."""
     if image.encoding not in PIXEL_BYTES:
         raise ValueError(f"the encoding {image.encoding!r} is no depth; publish {' or '.join(PIXEL_BYTES)}")
@@ -77,3 +124,28 @@ def _encoded(image: Image) -> bytes:
         }
     )
     return encode_image(header, rows.tobytes())
+
+
+def _cloud(cloud: PointCloud2) -> bytes:
+    """The cloud as the perception reads it. Raises ValueError."""
+    formats = {field.name: field for field in cloud.fields}
+    order = ">" if cloud.is_bigendian else "<"
+    if not {"x", "y", "z"} <= {*formats} or any(formats[axis].datatype not in _FLOATS for axis in "xyz"):
+        raise ValueError("a cloud needs the fields x, y and z of type FLOAT32 or FLOAT64")
+    kind = np.dtype(
+        {
+            "names": ["x", "y", "z"],
+            "formats": [order + _FLOATS[formats[axis].datatype] for axis in "xyz"],
+            "offsets": [formats[axis].offset for axis in "xyz"],
+            "itemsize": cloud.point_step,
+        }
+    )
+    wide = cloud.width * cloud.point_step
+    if cloud.row_step < wide or len(cloud.data) != cloud.row_step * cloud.height:
+        raise ValueError(f"{len(cloud.data)} bytes are not {cloud.height} rows of {cloud.row_step}")
+    rows = np.frombuffer(cloud.data, np.uint8).reshape(cloud.height, cloud.row_step)[:, :wide]
+    found = np.frombuffer(rows.tobytes(), kind)
+    points = np.column_stack([found[axis] for axis in "xyz"]).astype("<f4")
+    stamp = cloud.header.stamp
+    header = CloudHeader(stamp=stamp.sec + stamp.nanosec * 1e-9, points=len(points))
+    return encode_image(header, points.tobytes())

@@ -23,6 +23,7 @@ def every_key(robot: str) -> dict[str, str]:
         "goal": keys.goal("*"),
         "gripper_state": keys.gripper_state("*"),
         "depth": keys.depth("*"),
+        "cloud": keys.cloud("*"),
         "voxels": keys.voxels("*"),
     }
     of_services = {

@@ -9,12 +9,13 @@ import pytest
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.image import decode_image, encode_image
-from zarm_contract.messages import Camera, ImageHeader, JointState
+from zarm_contract.messages import Camera, CloudHeader, ImageHeader, JointState
 from zarm_contract.robot import load_robot
 from zarm_geometry.frames import matrix
 from zarm_geometry.robot_model import RobotModel
 from zarm_perception.cameras import CameraSource
 from zarm_perception.joint_history import JointHistory
+from zarm_perception.kernels.integration import direction
 
 M1013 = RobotModel.of(load_robot("doosan_m1013"))
 JOINTS = M1013.robot.descriptor.joints
@@ -115,3 +116,59 @@ def test_joints_are_interpolated_at_the_moment_of_an_image() -> None:
     assert history.at(10.4) is None, "what was measured is too old"
     assert history.at(9.5) is None
     assert JointHistory(JOINTS).at(10.0) is None
+
+
+def cloud(points: np.ndarray, stamp: float | None = None) -> bytes:
+    found = points.astype("<f4")
+    return encode_image(CloudHeader(stamp=stamp or time.time(), points=len(found)), found.tobytes())
+
+
+def test_the_nearest_point_on_a_pixel_is_its_depth() -> None:
+    source = CameraSource(camera(), M1013)
+    # Pixel (u, v) = (20, 10) looks along ((20 - 15.5) / 30, (10 - 7.5) / 30, 1).
+    ray = np.array([4.5 / 30.0, 2.5 / 30.0, 1.0])
+    behind = [[np.nan, 0.0, 1.0], [0.0, 0.0, -1.0], [50.0, 0.0, 1.0]]
+    image = source.read_cloud(cloud(np.array([2.0 * ray, 1.25 * ray, 1.5 * ray, *behind])))
+    assert image is not None
+    assert image.depth[10, 20] == pytest.approx(1.25)
+    assert np.count_nonzero(image.depth) == 1
+
+
+def test_points_of_a_lidar_are_ranges_all_around() -> None:
+    per = 64 / (2.0 * np.pi)
+    lidar = Camera(
+        name="top", position=(0.0, 0.0, 1.0), projection="spherical",
+        width=64, height=16, fx=per, fy=20.0, cx=31.5, cy=7.5,
+    )  # fmt: skip
+    source = CameraSource(lidar, M1013)
+    view = source.view(HOME)
+    image = source.read_cloud(cloud(np.array([[-2.0, 0.1, 0.0], [0.0, 1.5, 0.2]])))
+    assert image is not None
+    assert image.depth.shape == (16, 64 + 2 * view.seam)
+    for v, u in np.argwhere(image.depth):
+        away = image.depth[v, u]
+        end = view.turn @ np.array(direction(view, float(u), float(v))) * away
+        nearest = min(np.linalg.norm(end - point) for point in ([-2.0, 0.1, 0.0], [0.0, 1.5, 0.2]))
+        assert nearest < 0.15, "in the middle of its pixel"
+    assert np.count_nonzero(image.depth[:, view.seam : -view.seam]) == 2
+    assert np.count_nonzero(image.depth) == 3, "what is behind it is on both sides"
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"fx": None}, "the intrinsics are not complete: fx missing"),
+        ({"fx": None, "topic": "/depth"}, "the intrinsics are not complete: fx missing"),
+        ({"projection": "spherical", "fx": 2.0}, "it would see 917 by"),
+    ],
+)
+def test_a_camera_that_cannot_be_is_refused(change: dict[str, object], why: str) -> None:
+    with pytest.raises(InvalidRequest, match=why):
+        CameraSource(camera().model_copy(update=change), M1013)
+
+
+def test_a_camera_of_ros_may_wait_for_its_intrinsics() -> None:
+    source = CameraSource(Camera(name="eye", position=(0.0, 0.0, 1.0), topic="/camera/depth"), M1013)
+    assert "no camera_info came" in source.state.problem
+    with pytest.raises(InvalidRequest, match="the intrinsics of the camera eye are not known"):
+        source.read(payload(time.time()))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Cuboid, Cylinder, Primitive, Sphere
 from zarm_contract.robot import load_robot
 from zarm_geometry import rows
@@ -13,6 +16,7 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_perception.blocks import Blocks
 from zarm_perception.kernels.integration import FREE, OCCUPIED, PASSES, UNSEEN, View
 from zarm_perception.robot_shape import RobotShapes
+from zarm_perception.saved_map import load, save
 from zarm_perception.voxel_map import RobotShape, VoxelMap
 
 Array = NDArray[np.float64]
@@ -289,3 +293,121 @@ def test_only_blocks_that_change_are_changes() -> None:
     voxels.integrate(depth, view, NOBODY, 0.0)
     assert not list(voxels.changes())
     assert (voxels.states[voxels.occupied] != UNSEEN).all()
+
+
+def turning(eye: tuple[float, float, float]) -> View:
+    """A LiDAR that sees all around, 40 deg up and down, with the seam of its images."""
+    per = 400 / (2.0 * np.pi)
+    optical = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    seam = int(0.5 * per)
+    return View(per, 60.0, 199.5 + seam, 42.0, optical, np.array(eye), 0.1, 4.0, True, seam)
+
+
+def ranges(view: View, *things: Primitive) -> tuple[NDArray[np.float32], Array]:
+    """What an ideal LiDAR measures (h, w) with its seam, and the direction (h, w, 3) of each pixel."""
+    azimuth = (np.arange(400 + 2 * view.seam) - view.cx) / view.fx
+    elevation = (view.cy - np.arange(85)) / view.fy
+    level = np.cos(elevation)[:, None]
+    up = np.broadcast_to(np.sin(elevation)[:, None], (85, len(azimuth)))
+    rays = np.stack((level * np.cos(azimuth), -level * np.sin(azimuth), up), axis=-1)
+    shapes, depth, going = rows.primitives([*things]), np.zeros(rays[..., 0].size), np.arange(rays[..., 0].size)
+    flat = rays.reshape(-1, 3)
+    for _ in range(300):
+        away = rows.distances(view.place + depth[going, None] * flat[going], shapes).min(axis=1)
+        depth[going] += away
+        going = going[(away > 1e-4) & (depth[going] < 5.0)]
+        if not len(going):
+            break
+    depth[depth >= 5.0] = np.inf
+    return depth.reshape(up.shape).astype(np.float32), rays
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_lidar_sees_all_around_and_frees_only_what_it_sees_through(seed: int) -> None:
+    rng, voxels = np.random.default_rng(seed), empty_map(unseen_occupied=True)
+    # One right behind it, across the seam of its image.
+    things: list[Primitive] = [Cuboid(kind="cuboid", name="behind", position=(-0.8, 0.0, 0.1), size=(0.2, 0.3, 0.4))]
+    for k in range(5):
+        at = rng.uniform(-0.8, 0.8, 3)
+        at[:2] *= 1.0 if np.hypot(*at[:2]) > 0.4 else 2.0
+        size = tuple(rng.uniform(0.05, 0.3, 3))
+        things.append(Cuboid(kind="cuboid", name=f"box{k}", position=tuple(at), size=size))
+    view = turning((0.0, 0.0, 0.1))
+    depth, rays = ranges(view, *things)
+    if depth.min() < 0.15:
+        pytest.skip("it stands in a box")
+    voxels.integrate(depth, view, NOBODY, 0.0)
+    inner = (slice(None), slice(view.seam, -view.seam))
+    hit = np.isfinite(depth[inner]) & (depth[inner] < 4.0)
+    ends = view.place + depth[inner][hit, None] * rays[inner][hit]
+    i, j, k = cells(voxels, ends).T
+    assert (voxels.states[i, j, k] == OCCUPIED).mean() > 0.8, "but for voxels in which a single pixel ends"
+    occupied = centers(voxels, voxels.states == OCCUPIED)
+    assert rows.distances(occupied, rows.primitives(things)).max() < np.inf
+    assert rows.distances(occupied, rows.primitives(things)).min(axis=1).max() < 0.02
+    free = centers(voxels, voxels.states == FREE)
+    assert len(free) > 20_000
+    assert (np.abs(free[free[:, 0] < -0.5][:, 1]) < 0.02).any(), "also what is behind it"
+    assert rows.distances(free, rows.primitives(things)).min() > 0.0, "what is free is outside everything"
+
+
+def test_a_lidar_leaves_the_robot_out() -> None:
+    voxels, view = empty_map(), turning((0.6, 0.6, 0.6))
+    shape = RobotShapes(M1013).at(HOME)
+    things = Cuboid(kind="cuboid", name="wall", position=(-0.9, 0.0, 0.5), size=(0.1, 1.0, 1.0))
+    azimuth = (np.arange(400 + 2 * view.seam) - view.cx) / view.fx
+    wall, rays = ranges(view, things)
+    assert len(azimuth) == rays.shape[1]
+    flat, depth, going = rays.reshape(-1, 3), np.zeros(wall.size), np.arange(wall.size)
+    for _ in range(300):
+        away = rows.distances(view.place + depth[going, None] * flat[going], shape.parts).min(axis=1)
+        depth[going] += away
+        going = going[(away > 1e-4) & (depth[going] < 5.0)]
+        if not len(going):
+            break
+    depth[depth >= 5.0] = np.inf
+    seen_robot = np.minimum(depth.reshape(wall.shape).astype(np.float32), wall)
+    seen = voxels.integrate(seen_robot, view, shape, 0.03)
+    assert seen.robot > 100
+    occupied = centers(voxels, voxels.occupied)
+    assert len(occupied) > 20
+    assert rows.distances(occupied, rows.primitives([things])).min(axis=1).max() < 0.02, "only the wall is there"
+
+
+def test_a_map_is_saved_and_loaded_also_into_another_box() -> None:
+    voxels = empty_map()
+    view = looking((1.2, 0.3, 0.8), (0.0, 0.0, 0.0))
+    voxels.integrate(seen(view, WALL), view, NOBODY, 0.0)
+    saved = save(voxels)
+    other = empty_map()
+    loaded = load(other, saved)
+    assert loaded.occupied == int(voxels.occupied.sum()) > 100
+    assert loaded.outside == 0
+    np.testing.assert_array_equal(other.states, voxels.states)
+    assert dict(Blocks(other).changed()) == dict(Blocks(voxels).changed())
+    smaller = VoxelMap(np.array([-0.9, -2.0, 0.0]), np.array([0.5, 0.5, 2.0]), 0.02)
+    assert load(smaller, saved).outside > 0
+    there = centers(smaller, smaller.occupied)
+    before = centers(voxels, voxels.occupied)
+    inside = before[np.all((before > smaller.lower) & (before < smaller.upper), axis=1)]
+    np.testing.assert_allclose(there, inside, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"resolution": 0.05}, "start zarm-perception with --resolution 0.05"),
+        ({"lower": (-0.995, -1.0, -1.0)}, "start zarm-perception with a --box that begins at -0.995,-1,-1"),
+        ({"states": "AAAA"}, "not compressed by zlib"),
+        ({"shape": (100, 100, 99)}, "there must be 990000 states"),
+        ({"shape": (4096, 4096, 4096)}, "there must be"),
+    ],
+)
+def test_a_saved_map_that_does_not_fit_is_refused_and_nothing_changes(change: dict[str, object], why: str) -> None:
+    voxels = empty_map()
+    view = looking((1.2, 0.3, 0.8), (0.0, 0.0, 0.0))
+    voxels.integrate(seen(view, WALL), view, NOBODY, 0.0)
+    before = voxels.states.copy()
+    with pytest.raises(InvalidRequest, match=re.escape(why)):
+        load(voxels, save(voxels).model_copy(update=change))
+    np.testing.assert_array_equal(voxels.states, before)

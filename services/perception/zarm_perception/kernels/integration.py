@@ -1,6 +1,7 @@
 """A depth image in a voxel map: what of it is the robot, which voxels it marks, and which it sees through.
 
-Camera frames are optical: z forward, x right, y down. A depth is the z of a point (m), 0 where it is unknown.
+Camera frames are optical: z forward, x right, y down. A depth is the z of a point (m), 0 where it is unknown; of a spherical
+view it is the range of the point.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ BLOCK = 16
 
 class View(NamedTuple):
     """A camera at the moment of an image: focal lengths and principal point (px), its pose `turn` (3, 3) and `place` (3,) in the
-    base frame, and the least and the greatest depth (m) that count.
+    base frame, and the least and the greatest depth (m) that count. Of a `spherical` view columns are azimuths and rows elevations, focal
+    lengths are in pixels a radian, and if it sees all around, the first and the last `seam` columns show again what is on the other side.
     """
 
     fx: float
@@ -39,6 +41,8 @@ class View(NamedTuple):
     place: Array
     near: float
     far: float
+    spherical: bool = False
+    seam: int = 0
 
 
 class Grid(NamedTuple):
@@ -68,11 +72,12 @@ _NEIGHBOURS = 3
 
 
 @kernel
-def cleaned(depth: Depth, near: float, far: float, out: Depth) -> None:
-    """Write to `out` the depths (h, w) that count: 0 where a depth is unknown or below `near`, where too few
-    neighbours are on the same surface, as where a camera smears an edge; and `far` for what is beyond.
+def cleaned(depth: Depth, view: View, out: Depth) -> None:
+    """Write to `out` the depths (h, w) that count: 0 where a depth is unknown or too near, where too few
+    neighbours are on the same surface, as where a camera smears an edge (a LiDAR does not); and the greatest for what is beyond.
     """
     height, width = depth.shape
+    near, far = view.near, view.far
     for v in range(height):
         for u in range(width):
             d = depth[v, u]
@@ -82,6 +87,9 @@ def cleaned(depth: Depth, near: float, far: float, out: Depth) -> None:
             if d >= far:
                 out[v, u] = far
                 continue
+            if view.spherical:
+                out[v, u] = d
+                continue
             same = 0
             for row in range(max(0, v - 1), min(height, v + 2)):
                 for column in range(max(0, u - 1), min(width, u + 2)):
@@ -89,6 +97,38 @@ def cleaned(depth: Depth, near: float, far: float, out: Depth) -> None:
                         same += 1
             if same > _NEIGHBOURS:
                 out[v, u] = d
+
+
+@kernel
+def direction(view: View, u: float, v: float) -> tuple[float, float, float]:
+    """Where a pixel looks in the frame of the camera: a point there is at this, times its depth."""
+    a, b = (u - view.cx) / view.fx, (v - view.cy) / view.fy
+    if view.spherical:
+        return math.cos(b) * math.sin(a), math.sin(b), math.cos(b) * math.cos(a)
+    return a, b, 1.0
+
+
+@kernel
+def project(points: Depth, view: View, out: Depth) -> None:
+    """Write to `out` (h, w) the least depth of the `points` (n, 3), in the frame of the camera, on each pixel, 0 where there are none."""
+    height, width = out.shape
+    out[:] = 0.0
+    for n in range(points.shape[0]):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        depth = np.float32(z)
+        if view.spherical:
+            depth = np.float32(math.sqrt(x * x + y * y + z * z))
+        if not 0.0 < depth < np.inf:  # also NaN
+            continue
+        if view.spherical:
+            u, v = view.cx + view.fx * math.atan2(x, z), view.cy + view.fy * math.asin(y / depth)
+        else:
+            u, v = view.cx + view.fx * x / z, view.cy + view.fy * y / z
+        if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
+            continue
+        row, column = math.floor(v + 0.5), math.floor(u + 0.5)
+        if out[row, column] == 0.0 or depth < out[row, column]:
+            out[row, column] = depth
 
 
 @kernel
@@ -104,31 +144,44 @@ def mask_robot(depth: Depth, view: View, parts: Array, balls: Array, padding: fl
         b = turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z
         c = turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z
         r = balls[m, 3] + padding
-        if c + r <= 0.0:
-            continue
-        left, right, top, bottom = 0, width, 0, height
-        nearest = c - r
-        if nearest > 0.01:
-            across, down = view.fx * r / nearest, view.fy * r / nearest
-            u, v = view.cx + view.fx * a / c, view.cy + view.fy * b / c
-            # |X / Z - a / c| <= (1 + |a / c|) r / (c - r) for every point (X, Y, Z) of the ball.
-            wide, high = across + abs(u - view.cx) * r / nearest, down + abs(v - view.cy) * r / nearest
-            left, right = max(0, math.floor(u - wide)), min(width, math.ceil(u + wide) + 1)
-            top, bottom = max(0, math.floor(v - high)), min(height, math.ceil(v + high) + 1)
+        left, right, top, bottom = view.seam, width - view.seam, 0, height
+        if view.spherical:
+            away, level = math.sqrt(a * a + b * b + c * c), math.hypot(a, c)
+            nearest, farthest = away - r, away + r
+            if nearest > 0.01:
+                high, middle = view.fy * math.asin(r / away), view.cy + view.fy * math.asin(b / away)
+                top, bottom = max(0, math.floor(middle - high)), min(height, math.ceil(middle + high) + 1)
+            if level > r:
+                turned, wide = math.atan2(a, c), math.asin(r / level)
+                if abs(turned) + wide < math.pi:
+                    left = max(left, math.floor(view.cx + view.fx * (turned - wide)))
+                    right = min(right, math.ceil(view.cx + view.fx * (turned + wide)) + 1)
+        else:
+            if c + r <= 0.0:
+                continue
+            nearest, farthest = c - r, c + r
+            if nearest > 0.01:
+                across, down = view.fx * r / nearest, view.fy * r / nearest
+                u, v = view.cx + view.fx * a / c, view.cy + view.fy * b / c
+                # |X / Z - a / c| <= (1 + |a / c|) r / (c - r) for every point (X, Y, Z) of the ball.
+                wide, high = across + abs(u - view.cx) * r / nearest, down + abs(v - view.cy) * r / nearest
+                left, right = max(0, math.floor(u - wide)), min(width, math.ceil(u + wide) + 1)
+                top, bottom = max(0, math.floor(v - high)), min(height, math.ceil(v + high) + 1)
         p = parts[m]
         core = (p[12], p[13], p[14], p[15])
         most = padding + p[16]
         for v in range(top, bottom):
             for u in range(left, right):
                 d = depth[v, u]
-                if d < nearest or d > c + r or d == 0.0 or mask[v, u] != 0:
+                if d < nearest or d > farthest or d == 0.0 or mask[v, u] != 0:
                     continue
-                px, py = (u - view.cx) / view.fx * d, (v - view.cy) / view.fy * d
-                if (px - a) ** 2 + (py - b) ** 2 + (d - c) ** 2 > r * r:
+                px, py, pz = direction(view, u, v)
+                px, py, pz = px * d, py * d, pz * d
+                if (px - a) ** 2 + (py - b) ** 2 + (pz - c) ** 2 > r * r:
                     continue
-                wx = turn[0, 0] * px + turn[0, 1] * py + turn[0, 2] * d + place[0]
-                wy = turn[1, 0] * px + turn[1, 1] * py + turn[1, 2] * d + place[1]
-                wz = turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] * d + place[2]
+                wx = turn[0, 0] * px + turn[0, 1] * py + turn[0, 2] * pz + place[0]
+                wy = turn[1, 0] * px + turn[1, 1] * py + turn[1, 2] * pz + place[1]
+                wz = turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] * pz + place[2]
                 local = (
                     p[0] * wx + p[1] * wy + p[2] * wz + p[3],
                     p[4] * wx + p[5] * wy + p[6] * wz + p[7],
@@ -184,15 +237,14 @@ def mark(grid: Grid, depth: Depth, view: View, mask: Mask, number: int) -> int:
     per = 1.0 / size
     count = 0
     for v in range(height):
-        y = (v - view.cy) / view.fy
-        for u in range(width):
+        for u in range(view.seam, width - view.seam):
             d = depth[v, u]
             if d == 0.0 or d >= view.far or mask[v, u] != 0:
                 continue
-            x = (u - view.cx) / view.fx
-            i = math.floor(((turn[0, 0] * x + turn[0, 1] * y + turn[0, 2]) * d + place[0] - origin[0]) * per + 0.5)
-            j = math.floor(((turn[1, 0] * x + turn[1, 1] * y + turn[1, 2]) * d + place[1] - origin[1]) * per + 0.5)
-            k = math.floor(((turn[2, 0] * x + turn[2, 1] * y + turn[2, 2]) * d + place[2] - origin[2]) * per + 0.5)
+            x, y, z = direction(view, u, v)
+            i = math.floor(((turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z) * d + place[0] - origin[0]) * per + 0.5)
+            j = math.floor(((turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z) * d + place[1] - origin[1]) * per + 0.5)
+            k = math.floor(((turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z) * d + place[2] - origin[2]) * per + 0.5)
             if i < 0 or j < 0 or k < 0 or i >= nx or j >= ny or k >= nz:
                 continue
             count += 1
@@ -267,10 +319,11 @@ def clear(grid: Grid, least: Depth, view: View, number: int, unseen: bool) -> in
     nx, ny, nz = grid.state.shape
     levels, height, width = least.shape
     turn, place, size = view.turn, view.place, grid.resolution
-    # How far a voxel reaches along the axes of the camera.
+    # How far a voxel reaches along the axes of the camera, and from its centre.
     right_of = 0.5 * size * (abs(turn[0, 0]) + abs(turn[1, 0]) + abs(turn[2, 0]))
     below = 0.5 * size * (abs(turn[0, 1]) + abs(turn[1, 1]) + abs(turn[2, 1]))
     behind = 0.5 * size * (abs(turn[0, 2]) + abs(turn[1, 2]) + abs(turn[2, 2]))
+    around = 0.5 * math.sqrt(3.0) * size
     freed = 0
     for i in range(nx):
         x = grid.origin[0] + i * size - place[0]
@@ -286,13 +339,24 @@ def clear(grid: Grid, least: Depth, view: View, number: int, unseen: bool) -> in
                     continue
                 z = grid.origin[2] + k * size - place[2]
                 c = turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z
-                if c - behind < view.near or c + behind >= view.far:
-                    continue
-                a = (turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z) / c
-                b = (turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z) / c
-                u, v = view.cx + view.fx * a, view.cy + view.fy * b
-                wide = view.fx * (right_of + abs(a) * behind) / (c - behind)
-                high = view.fy * (below + abs(b) * behind) / (c - behind)
+                if view.spherical:
+                    across = turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z
+                    down = turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z
+                    away, level_distance = math.sqrt(across * across + down * down + c * c), math.hypot(across, c)
+                    nearest, farthest = away - around, away + around
+                    if nearest < view.near or farthest >= view.far or level_distance <= around:
+                        continue
+                    u, v = view.cx + view.fx * math.atan2(across, c), view.cy + view.fy * math.asin(down / away)
+                    wide, high = view.fx * math.asin(around / level_distance), view.fy * math.asin(around / away)
+                else:
+                    nearest, farthest = c - behind, c + behind
+                    if nearest < view.near or farthest >= view.far:
+                        continue
+                    a = (turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z) / c
+                    b = (turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z) / c
+                    u, v = view.cx + view.fx * a, view.cy + view.fy * b
+                    wide = view.fx * (right_of + abs(a) * behind) / nearest
+                    high = view.fy * (below + abs(b) * behind) / nearest
                 left, right = math.floor(u - wide), math.ceil(u + wide)
                 top, bottom = math.floor(v - high), math.ceil(v + high)
                 if left < 0 or top < 0 or right >= width or bottom >= height:
@@ -303,7 +367,7 @@ def clear(grid: Grid, least: Depth, view: View, number: int, unseen: bool) -> in
                 deeper = True
                 for row in range(top >> level, (bottom >> level) + 1):
                     for column in range(left >> level, (right >> level) + 1):
-                        if least[level, row, column] <= c + behind:
+                        if least[level, row, column] <= farthest:
                             deeper = False
                             break
                     if not deeper:
