@@ -15,7 +15,7 @@ from zarm_geometry.frames import matrix
 from zarm_geometry.robot_model import RobotModel
 from zarm_perception.cameras import CameraSource
 from zarm_perception.joint_history import JointHistory
-from zarm_perception.kernels.integration import direction
+from zarm_perception.kernels.integration import directions
 
 M1013 = RobotModel.of(load_robot("doosan_m1013"))
 JOINTS = M1013.robot.descriptor.joints
@@ -145,9 +145,10 @@ def test_points_of_a_lidar_are_ranges_all_around() -> None:
     image = source.read_cloud(cloud(np.array([[-2.0, 0.1, 0.0], [0.0, 1.5, 0.2]])))
     assert image is not None
     assert image.depth.shape == (16, 64 + 2 * view.seam)
+    rows, columns = directions(view, *image.depth.shape)
     for v, u in np.argwhere(image.depth):
         away = image.depth[v, u]
-        end = view.turn @ np.array(direction(view, float(u), float(v))) * away
+        end = view.turn @ (rows[v, 0] * columns[u, 0], rows[v, 1], rows[v, 0] * columns[u, 1]) * away
         nearest = min(np.linalg.norm(end - point) for point in ([-2.0, 0.1, 0.0], [0.0, 1.5, 0.2]))
         assert nearest < 0.15, "in the middle of its pixel"
     assert np.count_nonzero(image.depth[:, view.seam : -view.seam]) == 2

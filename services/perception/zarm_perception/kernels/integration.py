@@ -77,35 +77,45 @@ def cleaned(depth: Depth, view: View, out: Depth) -> None:
     neighbours are on the same surface, as where a camera smears an edge (a LiDAR does not); and the greatest for what is beyond.
     """
     height, width = depth.shape
-    near, far = view.near, view.far
+    near, far, step = np.float32(view.near), np.float32(view.far), np.float32(_STEP)
+    least = 0 if view.spherical else _NEIGHBOURS
+    framed = np.full((height + 2, width + 2), np.float32(np.nan), np.float32)  # so that the loop has no branches
+    framed[1:-1, 1:-1] = depth
     for v in range(height):
         for u in range(width):
-            d = depth[v, u]
-            out[v, u] = 0.0
-            if not d >= near:  # also NaN
-                continue
-            if d >= far:
-                out[v, u] = far
-                continue
-            if view.spherical:
-                out[v, u] = d
-                continue
-            same = 0
-            for row in range(max(0, v - 1), min(height, v + 2)):
-                for column in range(max(0, u - 1), min(width, u + 2)):
-                    if abs(depth[row, column] - d) <= _STEP * d:
-                        same += 1
-            if same > _NEIGHBOURS:
-                out[v, u] = d
+            d = framed[v + 1, u + 1]
+            most = step * d
+            same = (
+                (abs(framed[v, u] - d) <= most)
+                + (abs(framed[v, u + 1] - d) <= most)
+                + (abs(framed[v, u + 2] - d) <= most)
+                + (abs(framed[v + 1, u] - d) <= most)
+                + (abs(framed[v + 1, u + 2] - d) <= most)
+                + (abs(framed[v + 2, u] - d) <= most)
+                + (abs(framed[v + 2, u + 1] - d) <= most)
+                + (abs(framed[v + 2, u + 2] - d) <= most)
+            )
+            counts = (d >= near) & ((same >= least) | (d >= far))  # not NaN
+            out[v, u] = min(d, far) if counts else np.float32(0.0)
 
 
 @kernel
-def direction(view: View, u: float, v: float) -> tuple[float, float, float]:
-    """Where a pixel looks in the frame of the camera: a point there is at this, times its depth."""
-    a, b = (u - view.cx) / view.fx, (v - view.cy) / view.fy
-    if view.spherical:
-        return math.cos(b) * math.sin(a), math.sin(b), math.cos(b) * math.cos(a)
-    return a, b, 1.0
+def directions(view: View, height: int, width: int) -> tuple[Array, Array]:
+    """Where the pixels look in the frame of the camera, by `rows` (h, 2) and `columns` (w, 2): a point on the pixel (v, u) is at
+    `(rows[v, 0] * columns[u, 0], rows[v, 1], rows[v, 0] * columns[u, 1])`, times its depth.
+    """
+    rows, columns = np.ones((height, 2)), np.ones((width, 2))
+    for v in range(height):
+        b = (v - view.cy) / view.fy
+        rows[v, 1] = b
+        if view.spherical:
+            rows[v, 0], rows[v, 1] = math.cos(b), math.sin(b)
+    for u in range(width):
+        a = (u - view.cx) / view.fx
+        columns[u, 0] = a
+        if view.spherical:
+            columns[u, 0], columns[u, 1] = math.sin(a), math.cos(a)
+    return rows, columns
 
 
 @kernel
@@ -138,6 +148,7 @@ def mask_robot(depth: Depth, view: View, parts: Array, balls: Array, padding: fl
     """
     height, width = depth.shape
     turn, place = view.turn, view.place
+    rows, columns = directions(view, height, width)
     for m in range(parts.shape[0]):
         x, y, z = balls[m, 0] - place[0], balls[m, 1] - place[1], balls[m, 2] - place[2]
         a = turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z
@@ -171,12 +182,12 @@ def mask_robot(depth: Depth, view: View, parts: Array, balls: Array, padding: fl
         core = (p[12], p[13], p[14], p[15])
         most = padding + p[16]
         for v in range(top, bottom):
+            level_of, down_of = rows[v, 0], rows[v, 1]
             for u in range(left, right):
                 d = depth[v, u]
                 if d < nearest or d > farthest or d == 0.0 or mask[v, u] != 0:
                     continue
-                px, py, pz = direction(view, u, v)
-                px, py, pz = px * d, py * d, pz * d
+                px, py, pz = level_of * columns[u, 0] * d, down_of * d, level_of * columns[u, 1] * d
                 if (px - a) ** 2 + (py - b) ** 2 + (pz - c) ** 2 > r * r:
                     continue
                 wx = turn[0, 0] * px + turn[0, 1] * py + turn[0, 2] * pz + place[0]
@@ -234,21 +245,24 @@ def mark(grid: Grid, depth: Depth, view: View, mask: Mask, number: int) -> int:
     height, width = depth.shape
     turn, place, origin, size = view.turn, view.place, grid.origin, grid.resolution
     nx, ny, nz = grid.state.shape
-    per = 1.0 / size
+    rows, columns = directions(view, height, width)
+    scaled, first = turn / size, (place - origin) / size + 0.5
+    two = view.fx * view.fy * size * size / _COVERED
     count = 0
     for v in range(height):
+        level, down = rows[v, 0], rows[v, 1]
         for u in range(view.seam, width - view.seam):
             d = depth[v, u]
             if d == 0.0 or d >= view.far or mask[v, u] != 0:
                 continue
-            x, y, z = direction(view, u, v)
-            i = math.floor(((turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z) * d + place[0] - origin[0]) * per + 0.5)
-            j = math.floor(((turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z) * d + place[1] - origin[1]) * per + 0.5)
-            k = math.floor(((turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z) * d + place[2] - origin[2]) * per + 0.5)
+            x, y, z = level * columns[u, 0] * d, down * d, level * columns[u, 1] * d
+            i = math.floor(scaled[0, 0] * x + scaled[0, 1] * y + scaled[0, 2] * z + first[0])
+            j = math.floor(scaled[1, 0] * x + scaled[1, 1] * y + scaled[1, 2] * z + first[1])
+            k = math.floor(scaled[2, 0] * x + scaled[2, 1] * y + scaled[2, 2] * z + first[2])
             if i < 0 or j < 0 or k < 0 or i >= nx or j >= ny or k >= nz:
                 continue
             count += 1
-            if grid.touched[i, j, k] != number and view.fx * view.fy * size * size >= _COVERED * d * d:
+            if grid.touched[i, j, k] != number and d * d <= two:
                 grid.touched[i, j, k] = number  # a second pixel must end here: a single one may be noise
                 continue
             grid.marked[i, j, k] = number
