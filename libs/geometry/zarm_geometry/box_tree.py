@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -66,9 +67,10 @@ def forest(trees: Sequence[BoxTree], margin: float) -> WorldArrays:
     )
 
 
+@lru_cache(maxsize=256)
 def _nodes(count: int) -> tuple[Index, Index]:
     """`skip` and `leaf` over this many shapes in order: each level joins BRANCHES neighbours; nodes are stored depth
-    first.
+    first. Not to be written to: all trees over as many shapes share them.
     """
     widths = [1]
     while widths[-1] * BRANCHES < count:

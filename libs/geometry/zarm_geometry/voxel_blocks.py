@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from base64 import b64decode
 from collections.abc import Callable, Mapping
+from itertools import compress, product
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from zarm_contract.messages.perception import BLOCK
 
 MAP = "map."
 """With this begin the names of its objects; the name of the block follows."""
+
+_CELLS = [*product(range(BLOCK), repeat=3)]
+"""The voxels of a block in the order of its bits."""
 
 
 class VoxelBlocks:
@@ -40,8 +44,8 @@ class VoxelBlocks:
 
 
 def _voxels(name: str, block: VoxelBlock) -> Voxels:
-    bits = np.unpackbits(np.frombuffer(b64decode(block.cells), np.uint8)).reshape(BLOCK, BLOCK, BLOCK)
-    cells = tuple((i, j, k) for i, j, k in np.argwhere(bits).tolist())
+    bits = np.unpackbits(np.frombuffer(b64decode(block.cells), np.uint8))
+    cells = tuple(compress(_CELLS, bits.tolist()))
     return Voxels.model_construct(  # from the fields of a valid block
         kind="voxels",
         name=name,
