@@ -15,7 +15,7 @@ from zarm_contract.messages.perception import BLOCK
 MAP = "map."
 """With this begin the names of its objects; the name of the block follows."""
 
-_CELLS = [*product(range(BLOCK), repeat=3)]
+_CELLS = [*product(range(BLOCK), range(BLOCK), range(BLOCK))]
 """The voxels of a block in the order of its bits."""
 
 
