@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import zarm
+from support.examples import run_example
 from support.harness import eventually
 from support.seeing_cell import BACK, FLOOR, FRONT, MODEL, POST, SIDE, THERE, UR5E, Cell, camera, cell_of
 from zarm_contract.messages import Camera, Cuboid
@@ -150,3 +151,41 @@ def test_a_lidar_makes_the_same_map_which_is_saved_and_loaded(tmp_path: Path) ->
         with pytest.raises(zarm.InvalidRequest, match="name a file that was saved"):
             cell.robot.perception.load(tmp_path / "another.map")
         assert (rows.distances(np.array([*before]), rows.primitives([POST]))[:, 0] < 0.02).sum() > 20
+
+
+BLOCKS = {"block_0": (0.04, 0.04, 0.04), "block_1": (0.04, 0.07, 0.05), "block_2": (0.05, 0.04, 0.04), "block_3": (0.04, 0.04, 0.06)}  # fmt: skip
+LONGEST = 300.0
+
+
+@pytest.mark.timeout(LONGEST + 60.0)
+def test_the_example_picks_what_a_camera_sees_and_puts_it_into_the_tray(tmp_path: Path) -> None:
+    fine = ("--box=0.2,-0.5,0.015,0.8,0.6,0.6", "--resolution", "0.01")
+    with cell_of(tmp_path, "panda", "blocks", fine) as cell:
+        seen = camera("front", (1.1, -0.25, 0.75), (0.45, 0.0, 0.0))
+        cell.robot.perception.add(seen.model_copy(update={"fx": 320.0, "fy": 320.0}))
+        cell.robot.perception.look()
+        bodies = {body.name: body for body in cell.robot.simulation.state().bodies}
+        boxes = cell.robot.perception.boxes(floor=0.0)
+        assert len(boxes) == len(BLOCKS)
+        for name, size in BLOCKS.items():
+            box = min(boxes, key=lambda one: np.hypot(*np.subtract(one.position, bodies[name].position)[:2]))
+            assert box.position == pytest.approx(bodies[name].position, abs=0.01)
+            assert sorted(box.size) == pytest.approx(sorted(size), abs=0.025)
+        cell.robot.perception.remove("front")
+        said = run_example("16_pick_what_a_camera_sees", cell.endpoint, LONGEST)
+        assert said.startswith("the camera sees 4 blocks\n")
+        for body in cell.robot.simulation.state().bodies:
+            assert 0.3 < body.position[0] < 0.6
+            assert 0.18 < body.position[1] < 0.48
+            assert 0.025 < body.position[2] < 0.045, "it stands in the tray"
+
+
+def test_a_camera_that_gives_no_images_is_named(tmp_path: Path) -> None:
+    with cell_of(tmp_path) as cell:
+        with pytest.raises(zarm.Unavailable, match="there is no camera; add one first"):
+            cell.robot.perception.look(timeout=1.5)
+        assert cell.robot.perception.boxes() == []
+        cell.processes["physics_sim"].kill()
+        cell.robot.perception.add(FRONT)
+        with pytest.raises(zarm.Unavailable, match="the camera front has not given 5 images in 2 s"):
+            cell.robot.perception.look(timeout=2.0)

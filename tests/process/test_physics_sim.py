@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 import zarm
-from support.driven_panda import driven_panda
 from support.harness import ServiceProcess, eventually, router
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverFault, PhysicsState
@@ -70,8 +69,7 @@ def test_what_is_planned_is_driven_by_every_strategy(strategy: str, tmp_path: Pa
 
 def test_a_cube_is_gripped_carried_and_put_down_by_friction_alone(tmp_path: Path) -> None:
     (tmp_path / "world.yaml").write_text(WORLD, encoding="utf-8")
-    robot = str(driven_panda(tmp_path))
-    with cell_of(tmp_path, robot, "--world", str(tmp_path / "world.yaml")) as cell:
+    with cell_of(tmp_path, "panda", "--world", str(tmp_path / "world.yaml")) as cell:
         cell.robot.scene.add(zarm.Cuboid("cube", size=(0.04, 0.04, 0.04), position=(0.5, 0.0, 0.0205)))
         cell.robot.pick("cube", zarm.PoseGoal(zarm.Pose((0.5, 0.0, 0.022), DOWN), tolerance={"theta_z": 0.05}))
         held = cell.now()

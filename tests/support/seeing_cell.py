@@ -1,8 +1,8 @@
-"""A UR5e with mass among things that only its cameras see: physics, perception, planner, servo and executor."""
+"""A robot with mass among things that only its cameras see: physics, perception, planner, servo and executor."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -47,16 +47,24 @@ SIDE = camera("side", (0.9, 1.6, 1.3), (0.3, 0.0, 0.2))
 class Cell:
     """A robot with mass, its planner, servo, executor and perception, and what is published of the map."""
 
-    def __init__(self, stack: ExitStack, folder: Path) -> None:
+    def __init__(
+        self,
+        stack: ExitStack,
+        folder: Path,
+        name: str = "ur5e",
+        world: str | None = None,
+        perception: Sequence[str] = (),
+    ) -> None:
+        self.name = name
         self.endpoint = stack.enter_context(router())
         self.bus = stack.enter_context(Bus(self.endpoint))
-        self.keys = Keys("ur5e")
+        self.keys = Keys(name)
         self.blocks = VoxelBlocks()
         self.stack, self.folder = stack, folder
         self.processes: dict[str, ServiceProcess] = {}
-        started = {
-            "physics_sim": ("--drives", "ideal"),
-            "perception": (),
+        started: dict[str, Sequence[str]] = {
+            "physics_sim": ("--drives", "ideal", *(() if world is None else ("--world", world))),
+            "perception": perception,
             "planner": (),
             "servo": (),
             "executor": ("--strategy", "joint_trajectory"),
@@ -68,7 +76,7 @@ class Cell:
 
     def begin(self, service: str, *arguments: str) -> ServiceProcess:
         """Start a service, and wait until it is ready."""
-        process = ServiceProcess(service, self.endpoint, self.folder, "ur5e", arguments=arguments)
+        process = ServiceProcess(service, self.endpoint, self.folder, self.name, arguments=arguments)
         self.stack.enter_context(process).wait_ready(self.bus, self.keys)
         return process
 
@@ -101,6 +109,8 @@ class Cell:
 
 
 @contextmanager
-def cell_of(folder: Path) -> Iterator[Cell]:
+def cell_of(
+    folder: Path, name: str = "ur5e", world: str | None = None, perception: Sequence[str] = ()
+) -> Iterator[Cell]:
     with ExitStack() as stack:
-        yield Cell(stack, folder)
+        yield Cell(stack, folder, name, world, perception)

@@ -21,6 +21,7 @@ from contextlib import contextmanager
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from zarm.camera import Camera
 from zarm.connection import CONNECT_SECONDS, connected, robots
 from zarm.gripper import Gripper, GripperOptions
 from zarm.motions import (
@@ -86,6 +87,7 @@ __all__ = [
     "Attach",
     "Axis",
     "Busy",
+    "Camera",
     "Cancelled",
     "Capsule",
     "CheckResult",

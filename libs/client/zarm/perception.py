@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import time
 from base64 import b64decode
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zarm.calls import Calls
+from zarm.clusters import boxes_around
 from zarm_contract.codec import decode, encode
-from zarm_contract.errors import InvalidRequest
+from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.image import PIXEL_BYTES, encode_image
 from zarm_contract.messages import (
     Camera,
     CameraChange,
     CloudHeader,
+    Cuboid,
     ImageHeader,
     LoadedMap,
     Nothing,
@@ -69,6 +72,42 @@ class Perception(Calls):
             raise InvalidRequest(f"points of the shape {found.shape}; give (n, 3)", field="points")
         header = CloudHeader(stamp=stamp, points=len(found))
         self.connection.publisher(self._keys.cloud(camera)).put_encoded(encode_image(header, found.tobytes()))
+
+    def look(self, *, images: int = 5, timeout: float = 10.0) -> PerceptionState:
+        """Wait until each camera has given so many more images, so that the map is what they see now. Raises Unavailable after `timeout` s, which says what is
+        wrong with a camera that has not.
+        """
+        until, before = time.monotonic() + timeout, dict[str, int]()
+        missing = f"the perception of {self.name} says nothing; start it with `zarm up --perception`"
+        while (left := until - time.monotonic()) > 0.0:
+            state = self.connection.next(self._keys.perception_state, left)
+            if state is None:
+                break
+            late = [
+                camera
+                for camera in state.cameras
+                if camera.images < before.setdefault(camera.name, camera.images) + images
+            ]
+            if state.cameras and not late:
+                return state
+            missing = "there is no camera; add one first"
+            if late:
+                missing = f"the camera {late[0].name} has not given {images} images in {timeout:g} s"
+                missing += f": {late[0].problem}" if late[0].problem else ""
+        raise Unavailable(missing)
+
+    def boxes(self, *, floor: float | None = None, largest: float = 0.3, prefix: str = "box") -> list[Cuboid]:
+        """The things in the voxel map as boxes that stand upright, named `box_0`, `box_1` and so on, from the one with most voxels on.
+
+        A thing is a cluster of occupied voxels that touch each other and no other; its box contains these, and is turned about z so that it is small. With
+        `floor` (m, base frame) boxes reach down to there, where cameras do not see. Clusters longer than `largest` (m) are left out.
+
+        ```python
+        for box in robot.perception.boxes(floor=0.0):
+            robot.scene.add(box)
+        ```
+        """
+        return boxes_around(self.points(), self.state().resolution, largest, floor, prefix)
 
     def points(self) -> list[Vector3]:
         """The centres of the occupied voxels (m, base frame)."""

@@ -97,7 +97,7 @@ def launch(
     strategy: str | None = None,
     driver: SimulatedDriver | None = None,
     physics: Sequence[str] = (),
-    perception: bool = False,
+    perception: Sequence[str] | None = None,
     ros: bool = False,
     moveit: str | None = None,
     connect: str | None = None,
@@ -111,7 +111,7 @@ def launch(
     """Start the services of one robot, with a router of their own at `listen` or using the one at `connect`; at `view`,
     `HOST:PORT`, also the page; with `moveit`, the planning group of MoveIt's clients, also the bridge.
 
-    `physics` are arguments for the physical driver. Leaving stops them in order. Raises InvalidRequest for an invalid descriptor or name and for a robot already running
+    `physics` are arguments for the physical driver, `perception`, if it is to run, for that. Leaving stops them in order. Raises InvalidRequest for an invalid descriptor or name and for a robot already running
     on that bus, Unavailable if the port is taken, no router answers, or packages are missing.
     """
     _require("the planner cannot run", _PLANNER_PACKAGES, "`pip install 'zarm[planner]'` installs what is needed")
@@ -143,7 +143,7 @@ def launch(
     programs = {
         **simulated,  # this and the bridge before the executor, which may wait for a driver and at the end brakes by it
         **bridge,
-        **({"perception": ("zarm_perception.service", [*arguments])} if perception else {}),
+        **({} if perception is None else {"perception": ("zarm_perception.service", [*arguments, *perception])}),
         "planner": ("zarm_planner.service", [*arguments, *folders]),
         "servo": ("zarm_servo.service", [*arguments, *folders]),
         "executor": ("zarm_executor.service", [*arguments, *choice]),
@@ -248,6 +248,17 @@ def up(
     perception: Annotated[
         bool, typer.Option("--perception", help="Also make a voxel map from depth cameras, which motions avoid.")
     ] = False,
+    map_box: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z,X,Y,Z",
+            help="The box of the voxel map in the base frame: its least and its greatest x, y, z in m.",
+            show_default=False,
+        ),
+    ] = None,
+    map_resolution: Annotated[
+        str | None, typer.Option(metavar="M", help="Width of a voxel, 0.005 to 0.1 m.", show_default=False)
+    ] = None,
     ros: Annotated[bool, typer.Option("--ros", help="Also start the ROS 2 bridge.")] = False,
     moveit: Annotated[
         bool, typer.Option("--moveit", help="Also start the ROS 2 bridge, with the interface of MoveIt's move_group.")
@@ -303,7 +314,7 @@ def up(
             strategy=strategy,
             driver=driver,
             physics=_physics(driver, drives, world),
-            perception=perception,
+            perception=_map(perception, map_box, map_resolution),
             ros=ros,
             moveit=group if moveit else None,
             connect=connect,
@@ -317,6 +328,16 @@ def up(
         stack.wait_ready(lambda _: None)  # the services' own log lines report it
         _say_ready(stack)
         stack.wait()
+
+
+def _map(perception: bool, box: str | None, resolution: str | None) -> list[str] | None:
+    """The arguments of the perception, None if there is to be none. Raises BadParameter for options without it."""
+    given = {"box": box, "resolution": resolution}
+    words = [f"--{option}={value}" for option, value in given.items() if value is not None]
+    if words and not perception:
+        option = next(option for option, value in given.items() if value is not None)
+        raise typer.BadParameter("this is for the voxel map; add --perception", param_hint=f"--map-{option}")
+    return words if perception else None
 
 
 def _physics(driver: SimulatedDriver | None, drives: str | None, world: str | None) -> list[str]:

@@ -163,6 +163,8 @@ class PhysicalArm:
     def change_world(self, world: World, carried: Sequence[Attached]) -> None:
         """Go on in another world."""
         changed = self._simulation.in_world(world, carried)
+        if changed is self._simulation:
+            return
         with self._lock:
             changed.go_on_from(self._simulation)
             self._simulation = changed

@@ -130,11 +130,10 @@ class Simulation:
     def _carry(self, spec: mujoco.MjSpec, item: Attached) -> None:
         link = item.link or self.robot.descriptor.tip_link
         if item.object.name in self.world.dynamic:
-            if not self._gripped(item):
-                self._welds.append(item)
-                thing = body_name(item.object.name)
-                kind, bodies = mujoco.mjtEq.mjEQ_WELD, mujoco.mjtObj.mjOBJ_BODY
-                spec.add_equality(name=thing, type=kind, objtype=bodies, name1=link, name2=thing)
+            self._welds.append(item)
+            thing = body_name(item.object.name)
+            kind, bodies = mujoco.mjtEq.mjEQ_WELD, mujoco.mjtObj.mjOBJ_BODY
+            spec.add_equality(name=thing, type=kind, objtype=bodies, name1=link, name2=thing)
             return
         body = add_object(spec.body(link), item.object, None, self._density, item.mass)
         for touched in {link, *item.touch_links}:
@@ -147,7 +146,11 @@ class Simulation:
         )
 
     def in_world(self, world: World, carried: Sequence[Attached]) -> Simulation:
-        """This robot in another world, to be used after `go_on_from`."""
+        """This robot in another world, to be used after `go_on_from`; itself if it is in that world already."""
+        # Between the fingers is what the world has there, whatever the scene calls it.
+        carried = tuple(item for item in carried if world.believed or not self._gripped(item))
+        if world is self.world and carried == self._carried:
+            return self
         return Simulation(self.robot, world, self.position, density=self._density, carried=carried)
 
     def go_on_from(self, before: Simulation) -> None:

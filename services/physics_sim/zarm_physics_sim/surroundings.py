@@ -13,7 +13,7 @@ log = logging.getLogger(__name__)
 
 
 class Surroundings:
-    """Puts an arm into what the scene says and a world, which has the last word on objects that are in both."""
+    """Puts an arm into a world, or if that is empty into the scene, which otherwise is what the planner believes."""
 
     def __init__(self, arm: PhysicalArm, world: World) -> None:
         self._arm, self._world, self._scene = arm, world, Scene(revision="0-000000000000")
@@ -35,8 +35,7 @@ class Surroundings:
         return Nothing()
 
     def _change(self) -> None:
-        objects = {item.name: item for item in self._scene.objects}
-        world = self._world.among(objects)
+        world = self._world.of_scene(self._scene.objects)
         if meshes := [item.name for item in world.objects.values() if item.kind == "mesh"]:
             log.warning("meshes are left out of the physics objects=%s", ",".join(meshes))
         self._arm.change_world(world, self._scene.attached)

@@ -46,7 +46,7 @@ class Walk:
 @dataclass(frozen=True)
 class World:
     """Objects by name, and the height of a `floor` (m). Some are `dynamic`, others `belts` with the speed of their surface (m/s), or
-    go on `walks`; the rest is fixed.
+    go on `walks`; the rest is fixed. It is `believed` if it is what the scene says, nothing else being known.
     """
 
     objects: Mapping[str, SceneObject] = field(default_factory=dict)
@@ -54,6 +54,7 @@ class World:
     dynamic: Mapping[str, DynamicObject] = field(default_factory=dict)
     belts: Mapping[str, float] = field(default_factory=dict)
     walks: Sequence[Walk] = ()
+    believed: bool = False
 
     @classmethod
     def of(cls, message: LoadWorld) -> Self:
@@ -68,9 +69,14 @@ class World:
             tuple(map(Walk.of, message.moving)),
         )
 
-    def among(self, others: Mapping[str, SceneObject]) -> Self:
-        """This world with fixed objects more, unless it has one with that name."""
-        return replace(self, objects={**others, **self.objects})
+    @property
+    def stated(self) -> bool:
+        """Whether there is anything in it; else the scene says what there is."""
+        return bool(self.objects) or self.floor is not None
+
+    def of_scene(self, objects: Sequence[SceneObject]) -> Self:
+        """This world, or if it is empty one of these objects, all fixed."""
+        return self if self.stated else replace(self, objects={item.name: item for item in objects}, believed=True)
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
         """Add all of it to a model."""

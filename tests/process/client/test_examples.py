@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -12,10 +9,8 @@ import pytest
 
 import zarm
 from support.command_line import ROBOT, Up
-from support.harness import PATIENCE
-from support.paths import ROOT
+from support.examples import EXAMPLES, run_example
 
-EXAMPLES = ROOT / "examples"
 SAYS = {
     "01_plan": "succeeded: the tool is at 0.500 0.300 0.400 m",
     "02_waypoints": "succeeded",
@@ -31,8 +26,8 @@ SAYS = {
     "12_pick_from_bin": "the part stands at 0.5",
     "13_wipe_table": "% of the way\nsucceeded",
 }
-ELSEWHERE = ("14_pick_and_place", "15_hand_over")
-"""Take robots of their own: `test_pick_and_place` and `test_two_arms` run them."""
+ELSEWHERE = ("14_pick_and_place", "15_hand_over", "16_pick_what_a_camera_sees")
+"""Take robots of their own: `test_pick_and_place`, `test_two_arms` and `test_perception` run them."""
 """What is in the output of each, besides success."""
 OF_ITS_OWN = "09_two_robots"
 """Takes a `zarm up`."""
@@ -54,17 +49,7 @@ def test_an_example_runs_and_leaves_the_robot_at_rest_in_an_empty_scene(
     with ExitStack() as stack:
         if name == OF_ITS_OWN:
             stack.enter_context(Up(place, tmp_path, joins=True, name="second"))
-        environment = {key: value for key, value in os.environ.items() if not key.startswith("ZARM_")}
-        done = subprocess.run(
-            [sys.executable, str(EXAMPLES / f"{name}.py")],
-            env=environment | {"ZARM_CONNECT": place},
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE,
-        )
-    assert done.returncode == 0, done.stderr
-    assert SAYS[name] in done.stdout
-    assert done.stderr == ""
+        assert SAYS[name] in run_example(name, place)
     with zarm.connect(place, ROBOT) as robot:
         assert robot.state().mode == "idle"
         assert robot.speed() == 1.0

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,9 +9,9 @@ from pathlib import Path
 import pytest
 
 import zarm
+from support.examples import run_example
 from support.gripper_arm import m1013_with_gripper
 from support.harness import ServiceProcess, router
-from support.paths import ROOT
 from zarm_contract.keys import Keys
 from zarm_runtime.bus import Bus
 
@@ -124,13 +121,5 @@ def test_what_makes_no_sense_is_refused(robot: zarm.Robot, act: object, message:
 @pytest.mark.slow
 @pytest.mark.timeout(LONGEST + 20.0)
 def test_the_example_moves_ten_boxes_into_a_tray(cell: Cell, robot: zarm.Robot) -> None:
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("ZARM_")}
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "examples" / "14_pick_and_place.py")],
-        env=environment | {"ZARM_CONNECT": cell.endpoint},
-        capture_output=True,
-        text=True,
-        timeout=LONGEST,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("stands at") == 10
+    said = run_example("14_pick_and_place", cell.endpoint, LONGEST)
+    assert said.count("stands at") == 10

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 
@@ -15,8 +12,8 @@ import pytest
 import zarm
 from support.command_line import zarm as zarm_cli
 from support.composed import two_pandas
-from support.harness import PATIENCE, ServiceProcess, eventually, router
-from support.paths import ROOT
+from support.examples import run_example
+from support.harness import ServiceProcess, eventually, router
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
 from zarm_runtime.bus import Bus
@@ -81,16 +78,7 @@ def test_both_arms_move_at_once(robot: zarm.Robot) -> None:
 
 
 def test_one_arm_hands_a_bar_over_to_the_other(cell: Cell, robot: zarm.Robot) -> None:
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("ZARM_")}
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "examples" / "15_hand_over.py")],
-        env=environment | {"ZARM_CONNECT": cell.endpoint},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == "left_panda_hand holds the bar\n"
+    assert run_example("15_hand_over", cell.endpoint) == "left_panda_hand holds the bar\n"
     robot.scene.detach("bar")
     bar = robot.scene.objects()["bar"]
     assert bar.position == pytest.approx((0.45, 0.3 - 0.11, 0.4), abs=3e-3)  # type: ignore[union-attr]

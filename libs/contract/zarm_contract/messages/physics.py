@@ -44,7 +44,7 @@ class MovingObjects(ShortMessage):
 
 class LoadWorld(Message):
     """Replace the world of a simulation: `objects` in the base frame, and a floor without end at the height `floor` (m), if given. Objects
-    are fixed unless they are dynamic or moving; meshes have no body. What the scene has besides them stays.
+    are fixed unless they are dynamic or moving; meshes have no body. Objects of the scene have no body then, but where a world is empty.
     """
 
     objects: tuple[SceneObject, ...] = Field(default=(), max_length=MAX_BODIES)
