@@ -79,7 +79,7 @@ def test_a_cube_is_gripped_carried_and_put_down_by_friction_alone(tmp_path: Path
             "panda_leftfinger",
             "panda_rightfinger",
         }
-        cell.robot.place(zarm.Pose((0.4, 0.3, 0.03), DOWN))
+        assert cell.robot.place(zarm.Pose((0.4, 0.3, 0.03), DOWN)).status == "reached", "they let go and open at once"
         eventually(lambda: cell.now().bodies[0].position[2] < 0.03, "the cube stands on the floor")
         assert cell.now().bodies[0].position[:2] == pytest.approx((0.4, 0.3), abs=0.02)
 

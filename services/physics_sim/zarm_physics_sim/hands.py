@@ -30,21 +30,30 @@ class PhysicalHands:
         if (drive := self._arm.grippers.get(command.gripper)) is not None:
             drive.command, drive.target = command, command.position
             drive.speed, drive.force = command.speed, command.force
+            position = self._position(drive)
+            if (drive.reference - position) * (drive.target - position) < 0.0:
+                drive.reference = position  # what squeezed is released now, and not when its reference has come back
             self._still[command.gripper] = 0.0
 
     def step(self, dt: float, obstacle: float | None, report: Callable[[DriverGripperState], None]) -> None:
         """Report after `dt` s in which fingers do not close further than `obstacle` (m)."""
         self._steps += 1
-        simulation = self._arm.simulation
-        joints = [finger.joint for finger in simulation.fingers]
         for name, drive in self._arm.grippers.items():
-            driven = joints.index(drive.gripper.joint)
-            position, velocity = simulation.finger_position[driven], simulation.finger_velocity[driven]
+            position, velocity = self._position(drive), self._velocity(drive)
             if drive.command is not None:
                 drive.target = _stopped(drive, obstacle)
             self._still[name] = self._still.get(name, 0.0) + dt if abs(velocity) < _STILL else 0.0
             if self._still[name] == 0.0 or self._steps % _EVERY == 0:
-                report(self._state(name, drive, float(position)))
+                report(self._state(name, drive, position))
+
+    def _position(self, drive: GripperDrive) -> float:
+        return float(self._arm.simulation.finger_position[self._driven(drive)])
+
+    def _velocity(self, drive: GripperDrive) -> float:
+        return float(self._arm.simulation.finger_velocity[self._driven(drive)])
+
+    def _driven(self, drive: GripperDrive) -> int:
+        return [finger.joint for finger in self._arm.simulation.fingers].index(drive.gripper.joint)
 
     def _state(self, name: str, drive: GripperDrive, position: float) -> DriverGripperState:
         command = drive.command
