@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 import typer
 
-from support.command_line import Command, Up, zarm
+from support.command_line import Command, Up, environment, zarm
 from support.harness import PATIENCE, free_endpoint
-from support.markdown import PAGES, ROOT, commands, section
+from support.markdown import PAGES, ROOT, commands, python_blocks, section
 from support.tiers import sampled
 from support.viewer import free_port
 from zarm_cli.commands import command_line
@@ -93,6 +93,12 @@ def test_the_simulated_robot_moves_by_the_commands_as_written(
             else:
                 done = zarm(*words[1:], ZARM_CONNECT=started.endpoint)
                 assert done.returncode == 0, f"{words}: {done.stderr}"
+        program = "\n".join(python_blocks(FOLLOWED[guide]))
+        typed = [sys.executable, "-c", program]
+        ran = subprocess.run(
+            typed, env=environment(ZARM_CONNECT=started.endpoint), capture_output=True, text=True, timeout=PATIENCE
+        )
+        assert ran.returncode == 0, ran.stderr
 
 
 def _edit(folder: Path, arguments: list[str]) -> None:

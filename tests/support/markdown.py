@@ -28,6 +28,11 @@ def shell_blocks(text: str) -> list[str]:
     return re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
 
 
+def python_blocks(text: str) -> list[str]:
+    """The content of each `python` block."""
+    return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+
+
 def commands(text: str, *programs: str) -> list[list[str]]:
     """Every command of these programs in the shell blocks of a text, as words; a line that ends in a backslash
     continues.
