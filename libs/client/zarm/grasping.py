@@ -100,7 +100,7 @@ class Grasping(Calls):
         """Put the object `item`, by default the only one that is attached, down with the tip at `goal`, and go back. Returns the state
         of the gripper.
 
-        `goal` is as in `pick`. The steps are carry (to `approach` m above the goal; with `upright` the tip keeps its tilt on the
+        `goal` is as in `pick`. The steps are carry (to `approach` m above the goal, around what comes into the way; with `upright` the tip keeps its tilt on the
         way), lower, open (to `open_to` m, by default as far as it goes), detach, and retreat (`retreat` m back along the tool's z).
         Objects named in `touch`, such as what it is put on, may be touched while it is lowered. `group` is as in `pick`.
 
@@ -119,7 +119,7 @@ class Grasping(Calls):
         with self._step("carry", name):
             above = _raised(_pose_goal(goal, "goal"), approach)
             constraint = PathConstraint(("theta_x", "theta_y")) if upright else None
-            self._executor.execute(self._planner.plan(above, path_constraint=constraint, group=group))
+            self._executor.execute(self._planner.plan(above, path_constraint=constraint, group=group), replan=True)
         with self._step("lower", name):
             self._rise(group, (0.0, 0.0, -approach), allowed)
         with self._step("open", name):

@@ -35,7 +35,7 @@ from zarm_perception.voxel_map import VoxelMap
 
 log = logging.getLogger(__name__)
 
-_PATIENCE = 0.05
+_PATIENCE = 0.1
 """How long (s) an image waits for the joints at its stamp."""
 _STATE_PERIOD = 0.5
 """s between two states."""

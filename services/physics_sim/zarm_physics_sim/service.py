@@ -43,7 +43,8 @@ def start(service: Service) -> Iterator[None]:
     service.note = _note(simulation, options.density)
     log.info("physics %s", service.note)
 
-    with service.open_bus() as bus:
+    # A slow reader of images must not hold up the robot, so these have a session of their own.
+    with service.open_bus() as bus, service.open_bus() as image_bus:
         truth = Truth(bus.publisher(service.keys.physics_state).put)
         arm = PhysicalArm(simulation, settings, order, options.seed, truth.report)
         surroundings = Surroundings(arm, world)
@@ -53,7 +54,7 @@ def start(service: Service) -> Iterator[None]:
 
         def publish(camera: str, image: bytes) -> None:
             if camera not in images:
-                images[camera] = bus.publisher(service.keys.depth(camera))
+                images[camera] = image_bus.publisher(service.keys.depth(camera))
             images[camera].put_encoded(image)
 
         cameras = SimulatedCameras(arm, publish)

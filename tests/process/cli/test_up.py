@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import signal
 import socket
 from pathlib import Path
@@ -14,6 +15,7 @@ from support.command_line import ROBOT, SERVICES, Command, Up, the_one_line, zar
 from support.harness import eventually, free_endpoint
 from support.tiers import sampled
 from zarm_contract.keys import ALL_ALIVE
+from zarm_contract.robot import ROBOTS
 from zarm_runtime.bus import Bus
 
 
@@ -26,8 +28,12 @@ def test_up_says_what_runs_where_and_what_to_try_next(up: Up, empty_scene: None)
     assert done.returncode == 0, done.stderr
 
 
-def test_physics_for_a_robot_that_nothing_would_drive_is_refused_with_the_remedy() -> None:
-    refused = zarm("up", "--robot", "panda", "--driver", "physics", "--listen", free_endpoint())
+def test_physics_for_a_robot_that_nothing_would_drive_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    shutil.copy(ROBOTS / "panda.urdf", tmp_path)
+    text = (ROBOTS / "panda.yaml").read_text(encoding="utf-8")
+    alone = re.sub(r"strategy_params:\n(  .*\n)+", "", text)
+    (tmp_path / "panda.yaml").write_text(alone, encoding="utf-8")
+    refused = zarm("up", "--robot", str(tmp_path / "panda.yaml"), "--driver", "physics", "--listen", free_endpoint())
     assert refused.returncode == 1
     assert "panda has no strategy_params in its descriptor" in the_one_line(refused.stderr)
 
@@ -36,6 +42,13 @@ def test_settings_of_physics_without_physics_are_refused() -> None:
     refused = zarm("up", "--driver", "sim", "--drives", "hobby")
     assert refused.returncode == 2
     assert "--driver physics" in the_one_line(refused.stderr)
+
+
+@pytest.mark.parametrize("option", ["--map-box", "--map-resolution"])
+def test_settings_of_the_map_without_one_are_refused(option: str) -> None:
+    refused = zarm("up", option, "0.01")
+    assert refused.returncode == 2
+    assert "add --perception" in the_one_line(refused.stderr)
 
 
 def test_a_second_up_for_the_same_robot_is_refused_with_a_sentence(up: Up) -> None:

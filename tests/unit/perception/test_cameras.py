@@ -110,11 +110,14 @@ def test_joints_are_interpolated_at_the_moment_of_an_image() -> None:
     middle = history.at(10.04)
     assert middle is not None
     np.testing.assert_allclose(middle, 0.4)
-    last = history.at(10.2)
-    assert last is not None
-    np.testing.assert_allclose(last, 1.0)
-    assert history.at(10.4) is None, "what was measured is too old"
-    assert history.at(9.5) is None
+    assert history.at(10.12) is None, "where it has gone since is not known"
+    assert history.at(9.99) is None
+    history.receive("", state(10.3, *[1.3] * 6))
+    assert history.at(10.2) is None, "it has moved, and nobody knows how"
+    history.receive("", state(10.9, *[1.3] * 6))
+    standing = history.at(10.5)
+    assert standing is not None, "it has not moved"
+    np.testing.assert_allclose(standing, 1.3)
     assert JointHistory(JOINTS).at(10.0) is None
 
 
