@@ -97,7 +97,7 @@ clean:
 # One stamp for the packages that run zarm, one for those that develop it; the second includes the first.
 $(VENV)/.planner: $(PINNED) | $(BIN)/python
 	@echo "installing zarm into $(VENV) ..."
-	@$(PIP) install -c constraints.txt -e ".[planner,import,viewer]"
+	@$(PIP) install -c constraints.txt -e ".[planner,import,viewer,sim]"
 	@touch $@
 
 $(VENV)/.dev: $(PINNED) | $(BIN)/python

@@ -148,9 +148,9 @@ class Command:
         """Signal the command itself, not its family."""
         self.process.send_signal(number)
 
-    def end(self) -> int:
+    def end(self, timeout: float = PATIENCE) -> int:
         """Wait for its end; returns the exit code."""
-        return self.process.wait(PATIENCE)
+        return self.process.wait(timeout)
 
 
 class Up(Command):

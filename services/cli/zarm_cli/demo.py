@@ -1,4 +1,4 @@
-"""`zarm demo`: plans around a post and moves there, with all services as processes on a private bus."""
+"""`zarm demo`: a robot moves, with all services as processes on a private bus."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from rich.table import Table
 
 import zarm
 from zarm.robot import Robot
+from zarm_cli.demo_physics import MAP, PANDA, WORLD, clear_table
 from zarm_cli.execution import demand_success, run_goal
 from zarm_cli.interrupts import pause
-from zarm_cli.launcher import launch
+from zarm_cli.launcher import SimulatedDriver, launch
 from zarm_cli.output import err, facts, out, pose_text
 from zarm_cli.planning import plan_table
 from zarm_cli.view import VIEW
@@ -37,15 +38,22 @@ _SCALE = 0.4  # of the robot's limits: slow enough to watch
 
 def demo(
     view: Annotated[bool, typer.Option("--view", help="Show it in the browser, and keep running.")] = False,
+    physics: Annotated[
+        bool, typer.Option("--physics", help="A robot with mass clears a table whose blocks a depth camera sees.")
+    ] = False,
 ) -> None:
-    """Watch an emulated robot plan around a post and move there. Nothing to set up, nothing left behind."""
+    """Watch a robot plan around a post and move there. Nothing to set up, nothing left behind."""
     began = time.monotonic()
+    robot, act = (PANDA, clear_table) if physics else (ROBOT, _go_around_the_post)
     with (
         tempfile.TemporaryDirectory(prefix="zarm-demo-") as state,
         suppress(KeyboardInterrupt) if view else nullcontext(),  # the ordinary end of a demo that waits
         launch(
-            ROBOT,
-            strategy="emulator",
+            robot,
+            strategy=None if physics else "emulator",
+            driver=SimulatedDriver.physics if physics else None,
+            physics=WORLD if physics else (),
+            perception=MAP if physics else None,
             listen=_free_endpoint(),
             state=Path(state),
             log_level="WARNING",
@@ -54,11 +62,11 @@ def demo(
     ):
         with err.status("starting") as status:
             stack.wait_ready(status.update)
-        out.print(f"{ROBOT}: router, planner and executor are ready after {time.monotonic() - began:.1f} s.")
+        out.print(f"{robot}: router, planner and executor are ready after {time.monotonic() - began:.1f} s.")
         if view and sys.stdin.isatty():
-            out.print("Open the page at the address printed here, then press Enter: the robot moves for 4 s.")
+            out.print("Open the page at the address printed here, then press Enter: the robot moves.")
             _wait_for_enter()
-        _go_around_the_post(stack.client)
+        act(stack.client)
         if view:
             out.print("The page stays open, and the robot is yours: Ctrl-C ends it.")
             stack.wait()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pty
 from contextlib import ExitStack
+from ctypes.util import find_library
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,18 @@ def test_demos_at_once_plan_around_the_post_and_reach_their_goals(tmp_path: Path
             assert "succeeded" in demo.output()
             assert demo.family() == []
             assert demo.errors() == ""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.skipif(not (find_library("EGL") or find_library("OSMesa")), reason="nothing renders here")
+def test_with_physics_the_blocks_that_a_camera_sees_come_into_the_tray(tmp_path: Path) -> None:
+    with Command("demo", "--physics", folder=tmp_path) as demo:
+        assert demo.end(240.0) == 0, demo.errors()
+        assert "sees 4 blocks" in demo.output()
+        assert demo.output().count("is in the tray") == 4
+        assert demo.errors() == ""
+        assert demo.family() == []
 
 
 @pytest.mark.slow
