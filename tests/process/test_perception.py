@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import shutil
 import time
+from contextlib import ExitStack
 from ctypes.util import find_library
 from pathlib import Path
 
@@ -12,11 +14,14 @@ import pytest
 
 import zarm
 from support.examples import run_example
-from support.harness import eventually
+from support.harness import ServiceProcess, eventually, router
 from support.seeing_cell import BACK, FLOOR, FRONT, MODEL, POST, SIDE, THERE, UR5E, Cell, camera, cell_of
+from zarm_contract.keys import Keys
 from zarm_contract.messages import Camera, Cuboid
+from zarm_contract.robot import ROBOTS
 from zarm_geometry import rows
 from zarm_perception.robot_shape import RobotShapes
+from zarm_runtime.bus import Bus
 
 pytestmark = pytest.mark.skipif(
     not (find_library("EGL") or find_library("OSMesa") or "MUJOCO_GL" in os.environ), reason="nothing renders here"
@@ -95,6 +100,27 @@ def test_a_camera_that_does_not_see_is_said_and_the_map_stays(tmp_path: Path) ->
         eventually(lambda: planned(cell), "it plans again")
         cell.processes["perception"].kill()
         eventually(lambda: not planned(cell), "the perception has gone")
+
+
+def test_a_robot_that_is_to_be_slow_in_a_stale_map_is_slow(tmp_path: Path) -> None:
+    shutil.copy(ROBOTS / "ur5e.urdf", tmp_path)
+    text = (ROBOTS / "ur5e.yaml").read_text(encoding="utf-8")
+    (tmp_path / "slow.yaml").write_text(text + "\nstale_map: slow\n", encoding="utf-8")
+    with ExitStack() as stack:
+        endpoint = stack.enter_context(router())
+        bus = stack.enter_context(Bus(endpoint))
+        processes = {}
+        for service in ("perception", "planner"):
+            process = ServiceProcess(service, endpoint, tmp_path, str(tmp_path / "slow.yaml"))
+            processes[service] = stack.enter_context(process)
+            process.wait_ready(bus, Keys("ur5e"))
+        robot = stack.enter_context(zarm.connect(endpoint))
+        quick = robot.plan(BACK, start=THERE).trajectory.time[-1]
+        robot.perception.add(FRONT)
+        eventually(lambda: robot.perception.state().stale, "the camera gives no images")
+        eventually(lambda: robot.plan(BACK, start=THERE).trajectory.time[-1] > 4.0 * quick, "plans are slow")
+        robot.perception.remove("front")
+        eventually(lambda: robot.plan(BACK, start=THERE).trajectory.time[-1] < 1.5 * quick, "plans are quick again")
 
 
 def test_a_perception_that_begins_again_frees_what_has_gone_meanwhile(tmp_path: Path) -> None:

@@ -192,8 +192,9 @@ class RobotDescriptor(Section):
         default={}, max_length=16
     )
     """Depth cameras by name, from which the voxel map is made."""
-    stale_map: Literal["refuse", "ignore"] = "refuse"
-    """What becomes of plans while a camera does not see, or the perception has gone: `refuse` them, or `ignore` it and use what was seen."""
+    stale_map: Literal["refuse", "slow", "ignore"] = "refuse"
+    """What becomes of plans while a camera does not see, or the perception has gone: `refuse` them, make them `slow`, at a tenth of velocity and acceleration, or
+    `ignore` it; the last two use what was seen."""
     groups: dict[GroupName, JointGroup] = Field(default={}, max_length=16)
     """Joint groups by name, for a robot with several arms, or an arm on a torso or an axis: what a request may plan for. A request that names no
     group is for all joints. Left out: the robot is one arm."""

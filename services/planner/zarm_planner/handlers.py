@@ -69,7 +69,7 @@ from zarm_planner.planners.registry import AUTO, PLANNERS, check_name, choose, n
 from zarm_planner.program_stage import ProgramStage
 from zarm_planner.programs import PlannedProgram, SceneChange, of_only_segment, plan_program, with_ways
 from zarm_planner.scene.attached_objects import carrier, check_attach, check_links
-from zarm_planner.scene.map_health import MapHealth
+from zarm_planner.scene.map_health import STALE_SCALE, MapHealth
 from zarm_planner.scene.scene_cache import SceneCache
 from zarm_planner.scene.store import SceneStore
 from zarm_planner.scheduler import Scheduler
@@ -115,7 +115,7 @@ class Handlers:
         self._scheduler = Scheduler(os.cpu_count() or 1, is_there)
         self._lock = threading.Lock()
         self._settings = PlannerSettings()
-        self._limits = lru_cache(maxsize=16)(
+        self._scaled = lru_cache(maxsize=16)(
             partial(Limits.of, model.robot)
         )  # by the scales of velocity and acceleration
         self.scenes = SceneCache(model, store)
@@ -185,6 +185,13 @@ class Handlers:
         )
         tips = group.names if group is not None else ()
         return self._reply(revision, verified, timings, openings, tip=self._tip(tips, verified))
+
+    def _limits(self, velocity_scale: float, acceleration_scale: float) -> Limits:
+        """The limits at these scales, or lower ones in a stale voxel map."""
+        if self._model.robot.descriptor.stale_map == "slow" and (stale := self.map_health.problem) is not None:
+            log.warning("plans are slow scale=%g reason=%s", STALE_SCALE, stale)
+            velocity_scale, acceleration_scale = min(velocity_scale, STALE_SCALE), min(acceleration_scale, STALE_SCALE)
+        return self._scaled(velocity_scale, acceleration_scale)
 
     def _check_scene(self) -> None:
         """Raises Unavailable while the scene or the voxel map is not what is there."""

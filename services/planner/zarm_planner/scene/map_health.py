@@ -7,6 +7,8 @@ import time
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import PerceptionState
 
+STALE_SCALE = 0.1
+"""Scale of velocity and acceleration of plans in a stale map, for a robot that is to be slow in it."""
 _SILENCE = 3.0
 """s without a state after which the perception counts as gone."""
 
@@ -21,20 +23,23 @@ class MapHealth:
         """Take a state."""
         self._newest = state, time.monotonic()
 
-    def check(self) -> None:
-        """Raises Unavailable while a camera does not see, or the perception has gone."""
+    @property
+    def problem(self) -> str | None:
+        """Why the map is stale, None if it is not."""
         if self._newest is None:
-            return
+            return None
         state, arrived = self._newest
         silent = time.monotonic() - arrived
         if silent > _SILENCE:
-            raise Unavailable(
-                f"the voxel map is stale: the perception has said nothing for {silent:.1f} s; start it again, or let the descriptor "
-                "ignore it (`stale_map: ignore`)"
-            )
+            return f"the perception has said nothing for {silent:.1f} s; start it again"
         if state.stale:
             blind = "; ".join(f"{camera.name}: {camera.problem}" for camera in state.cameras if camera.problem)
+            return f"{blind or 'a camera does not see'}; mend the camera, remove it (`zarm sensor remove`)"
+        return None
+
+    def check(self) -> None:
+        """Raises Unavailable while a camera does not see, or the perception has gone."""
+        if (problem := self.problem) is not None:
             raise Unavailable(
-                f"the voxel map is stale: {blind or 'a camera does not see'}; mend the camera, remove it (`zarm sensor remove`), or "
-                "let the descriptor ignore it (`stale_map: ignore`)"
+                f"the voxel map is stale: {problem}, or let the descriptor slow down or ignore it (`stale_map`)"
             )
