@@ -176,6 +176,9 @@ def test_a_lidar_makes_the_same_map_which_is_saved_and_loaded(tmp_path: Path) ->
         assert {*cell.robot.perception.points()} == before
         with pytest.raises(zarm.InvalidRequest, match="name a file that was saved"):
             cell.robot.perception.load(tmp_path / "another.map")
+        (tmp_path / "another.map").write_text("position: [0, 0, 1]")
+        with pytest.raises(zarm.InvalidRequest, match="is no saved map"):
+            cell.robot.perception.load(tmp_path / "another.map")
         assert (rows.distances(np.array([*before]), rows.primitives([POST]))[:, 0] < 0.02).sum() > 20
 
 

@@ -143,6 +143,8 @@ class Perception(Calls):
             saved = decode(SavedMap, Path(path).read_bytes())
         except OSError as error:
             raise InvalidRequest(f"{path}: {error.strerror}; name a file that was saved", field="path") from error
+        except InvalidRequest as error:
+            raise InvalidRequest(f"{path} is no saved map; name a file that was saved", field="path") from error
         return self._ask(self._keys.perception_load, saved)
 
     def state(self) -> PerceptionState:

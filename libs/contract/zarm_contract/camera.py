@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import math
+from collections.abc import Sequence
+from typing import Annotated, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from zarm_contract.messages import Camera, Positive, Quaternion, Vector3
 from zarm_contract.messages.perception import Pixels, Projection, TopicType
@@ -20,6 +22,8 @@ class DescribedCamera(Section):
     """Where its frame is in the frame of the link (m)."""
     orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
     """How its frame is turned, as a quaternion."""
+    look_at: Vector3 | None = None
+    """Instead of the orientation: the point in the frame of the link (m) at which a `pinhole` camera looks, upright."""
     projection: Projection = "pinhole"
     """`pinhole`: a camera. `spherical`: columns are azimuths from left to right, rows elevations from top to bottom, as of a LiDAR."""
     width: Pixels | None = None
@@ -45,6 +49,39 @@ class DescribedCamera(Section):
     topic_type: TopicType = "sensor_msgs/msg/Image"
     """The type of the ROS topic."""
 
+    @model_validator(mode="after")
+    def _checked(self) -> Self:
+        if self.look_at is not None:
+            if "orientation" in self.model_fields_set or self.projection == "spherical":
+                raise ValueError("look_at is for a pinhole camera without an orientation; leave one of them out")
+            looking(self.position, self.look_at)
+        return self
+
     def message(self, name: str) -> Camera:
         """The camera of this name."""
-        return Camera(name=name, **self.model_dump())
+        fields = self.model_dump(exclude={"look_at"})
+        if self.look_at is not None:
+            fields["orientation"] = looking(self.position, self.look_at)
+        return Camera(name=name, **fields)
+
+
+_SAME = 1e-9
+
+
+def looking(eye: Sequence[float], at: Sequence[float]) -> Quaternion:
+    """The orientation of an optical frame at `eye` (3,) that looks at a point (3,), its y as far down as possible. Raises ValueError for the same point."""
+    along = [there - here for there, here in zip(at, eye, strict=True)]
+    length = math.hypot(*along)
+    if length < _SAME:
+        raise ValueError("the camera would look at where it is; give another point")
+    # From x right, y down and z forward of a level camera: first about the vertical, then up or down.
+    heading = math.atan2(along[1], along[0])
+    pitch = math.asin(along[2] / length)
+    yaw, tilt = 0.5 * (heading - math.pi / 2.0), 0.5 * (pitch - math.pi / 2.0)
+    # Rz(heading - 90 deg) turns x right, y forward, z up; Rx(pitch - 90 deg) makes z forward of it.
+    return (
+        math.cos(yaw) * math.sin(tilt),
+        math.sin(yaw) * math.sin(tilt),
+        math.sin(yaw) * math.cos(tilt),
+        math.cos(yaw) * math.cos(tilt),
+    )

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import zarm
+from zarm_contract.camera import DescribedCamera
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.image import decode_image, encode_image
 from zarm_contract.messages import Camera, CloudHeader, ImageHeader, JointState
 from zarm_contract.robot import load_robot
+from zarm_contract.section import read_section
 from zarm_geometry.frames import matrix
 from zarm_geometry.robot_model import RobotModel
 from zarm_perception.cameras import CameraSource
@@ -176,3 +180,34 @@ def test_a_camera_of_ros_may_wait_for_its_intrinsics() -> None:
     assert "no camera_info came" in source.state.problem
     with pytest.raises(InvalidRequest, match="the intrinsics of the camera eye are not known"):
         source.read(payload(time.time()))
+
+
+def described(folder: Path, text: str) -> Camera:
+    file = folder / "eye.yaml"
+    file.write_text(text + "width: 32\nheight: 16\nfx: 30\nfy: 30\ncx: 15.5\ncy: 7.5\n", encoding="utf-8")
+    return read_section(file, "a camera", DescribedCamera)[1].message("eye")
+
+
+def test_a_camera_looks_where_its_file_says(tmp_path: Path) -> None:
+    eye = described(tmp_path, "position: [1.0, 0.5, 0.8]\nlook_at: [0.2, 0.1, 0.1]\n")
+    assert eye.intrinsics
+    same = zarm.Camera("eye", position=eye.position, look_at=(0.2, 0.1, 0.1), **eye.intrinsics._asdict())
+    assert eye.model_dump() == same.model_dump()
+    along = np.subtract((0.2, 0.1, 0.1), eye.position)
+    turn = matrix(eye.position, eye.orientation)[:3, :3]
+    np.testing.assert_allclose(turn[:, 2], along / np.linalg.norm(along), atol=1e-9)
+    assert turn[2, 0] == pytest.approx(0.0)
+    assert turn[2, 1] < 0.0
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "look_at: [1.0, 0.5, 0.8]\n",
+        "look_at: [0.2, 0.1, 0.1]\norientation: [0, 0, 0, 1]\n",
+        "look_at: [0.2, 0.1, 0.1]\nprojection: spherical\n",
+    ],
+)
+def test_a_camera_that_looks_nowhere_is_refused(text: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidRequest, match="look"):
+        described(tmp_path, "position: [1.0, 0.5, 0.8]\n" + text)
