@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import zarm
-from support.examples import run_example
+from support.example_programs import run_example
 from support.harness import ServiceProcess, eventually, router
 from support.seeing_cell import BACK, FLOOR, FRONT, MODEL, POST, SIDE, THERE, UR5E, Cell, camera, cell_of
 from zarm_contract.keys import Keys

@@ -1,26 +1,12 @@
-"""The programs of examples/."""
+"""The number of examples of a property: a share of the profile's, so that one option of pytest changes all of them."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
+from typing import Any
 
-from support.command_line import environment
-from support.harness import PATIENCE
-from support.paths import ROOT
-
-EXAMPLES = ROOT / "examples"
+from hypothesis import settings
 
 
-def run_example(name: str, endpoint: str, timeout: float = PATIENCE) -> str:
-    """What an example prints on the bus of the router at `endpoint`; it must succeed, and say nothing besides."""
-    done = subprocess.run(
-        [sys.executable, str(EXAMPLES / f"{name}.py")],
-        env=environment(ZARM_CONNECT=endpoint),
-        capture_output=True,
-        text=True,
-        timeout=timeout,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    return done.stdout
+def examples(share: float, **others: Any) -> settings:
+    """The profile's number times `share`: less for a property whose examples are slow; other settings too."""
+    return settings(max_examples=max(1, round(share * settings.default.max_examples)), **others)

@@ -9,7 +9,7 @@ import pytest
 
 import zarm
 from support.command_line import ROBOT, Up
-from support.examples import EXAMPLES, run_example
+from support.example_programs import EXAMPLES, run_example
 
 SAYS = {
     "01_plan": "succeeded: the tool is at 0.500 0.300 0.400 m",

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import zarm
-from support.examples import run_example
+from support.example_programs import run_example
 from support.gripper_arm import m1013_with_gripper
 from support.harness import ServiceProcess, router
 from zarm_contract.keys import Keys

@@ -12,7 +12,7 @@ import pytest
 import zarm
 from support.command_line import zarm as zarm_cli
 from support.composed import two_pandas
-from support.examples import run_example
+from support.example_programs import run_example
 from support.harness import ServiceProcess, eventually, router
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
