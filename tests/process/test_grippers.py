@@ -365,12 +365,8 @@ def driven(tmp_path: Path) -> Path:
     for suffix in (".yaml", ".urdf"):
         shutil.copy(ROBOTS / f"panda{suffix}", tmp_path)
     path = tmp_path / "panda.yaml"
-    path.write_text(
-        path.read_text().replace(
-            "strategy: emulator\n",
-            "strategy: joint_trajectory\nstrategy_params:\n  command_topic: /panda/command\n  joint_states_topic: /joint_states\n",
-        )
-    )
+    text = path.read_text().replace("strategy: emulator\n", "strategy: joint_trajectory\n")
+    path.write_text(text.replace("  strategies: [joint_trajectory]\n", ""))
     return path
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from control_msgs.action import GripperCommand
+from control_msgs.action import GripperCommand, ParallelGripperCommand
 from moveit_msgs.srv import GetMotionPlan
 from pymoveit2 import GripperInterface, MoveIt2Gripper
 from rclpy.action import ActionClient, ActionServer, GoalResponse
@@ -40,11 +40,16 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
 
 def sent(node: Node, position: float, max_effort: float = 0.0) -> tuple[Any, list[Any]]:
     """The response to a goal of the action, and its feedback."""
-    client, feedback = ActionClient(node, GripperCommand, ACTION), list[Any]()
+    goal = GripperCommand.Goal()
+    goal.command.position, goal.command.max_effort = position, max_effort
+    return sent_goal(node, GripperCommand, ACTION, goal)
+
+
+def sent_goal(node: Node, kind: Any, action: str, goal: Any) -> tuple[Any, list[Any]]:
+    """The response to a goal of an action, and its feedback."""
+    client, feedback = ActionClient(node, kind, action), list[Any]()
     try:
         assert client.wait_for_server(PATIENCE)
-        goal = GripperCommand.Goal()
-        goal.command.position, goal.command.max_effort = position, max_effort
         future = client.send_goal_async(goal, feedback_callback=lambda message: feedback.append(message.feedback))
         eventually(future.done, "the goal is answered")
         result = future.result().get_result_async()
@@ -70,6 +75,25 @@ def test_a_position_out_of_range_is_refused_and_nothing_moves(arm: Stack, node: 
     response, _ = sent(node, position)
     assert not response.result.reached_goal
     assert response.result.position == pytest.approx(0.04, abs=5e-4)
+
+
+def test_the_action_of_the_newer_controllers_moves_the_fingers_too(arm: Stack, node: Node) -> None:
+    def parallel(**command: Any) -> tuple[Any, list[Any]]:
+        goal = ParallelGripperCommand.Goal(command=JointState(**command))
+        return sent_goal(node, ParallelGripperCommand, f"parallel_{ACTION}", goal)
+
+    sent(node, 0.04)
+    response, feedback = parallel(name=[FINGERS[0]], position=[0.01], velocity=[0.02], effort=[20.0])
+    assert response.result.reached_goal
+    assert response.result.state.name == [FINGERS[0]]
+    assert response.result.state.position[0] == pytest.approx(0.01, abs=5e-4)
+    assert len({message.state.position[0] for message in feedback}) > 3
+    response, _ = parallel(position=[0.03])
+    assert response.result.state.position[0] == pytest.approx(0.03, abs=5e-4)
+    for bad in ({"name": ["thumb"], "position": [0.0]}, {}, {"position": [0.0], "velocity": [-1.0]}):
+        response, _ = parallel(**bad)
+        assert not response.result.reached_goal
+        assert response.result.state.position[0] == pytest.approx(0.03, abs=5e-4)
 
 
 def test_fingers_are_among_the_joint_states(arm: Stack, node: Node) -> None:
@@ -139,20 +163,22 @@ def test_the_semantic_description_has_the_group_of_the_gripper() -> None:
 
 
 @contextmanager
-def controller(node: Node, finger: list[float], end: str) -> Iterator[None]:
+def controller(node: Node, kind: Any, finger: list[float], end: str) -> Iterator[None]:
     """A gripper's controller, and a robot that stands at home; a goal ends as `end` says."""
 
     def carry_out(goal: Any) -> Any:
-        result, wanted = GripperCommand.Result(), goal.request.command.position
-        finger[0] = 0.015 if end == "stalled" else wanted
-        result.position, result.stalled, result.reached_goal = finger[0], end == "stalled", end == "reached"
+        result, wanted = kind.Result(), goal.request.command.position
+        finger[0] = 0.015 if end == "stalled" else wanted if kind is GripperCommand else wanted[0]
+        result.stalled, result.reached_goal = end == "stalled", end == "reached"
+        if kind is GripperCommand:
+            result.position = finger[0]
+        else:
+            result.state = JointState(name=[FINGERS[0]], position=[finger[0]])
         (goal.abort if end == "aborted" else goal.succeed)()
         return result
 
     admission = GoalResponse.REJECT if end == "rejected" else GoalResponse.ACCEPT
-    server = ActionServer(
-        node, GripperCommand, "/hand_controller/gripper_cmd", carry_out, goal_callback=lambda _: admission
-    )
+    server = ActionServer(node, kind, "/hand_controller/gripper_cmd", carry_out, goal_callback=lambda _: admission)
     states = node.create_publisher(JointState, "/panda/joint_states", 10)
     names = [*PANDA.descriptor.joints, FINGERS[0]]
 
@@ -176,19 +202,30 @@ def driven(tmp_path: Path) -> Path:
     for suffix in (".yaml", ".urdf"):
         shutil.copy(ROBOTS / f"panda{suffix}", tmp_path)
     path = tmp_path / "panda.yaml"
-    text = path.read_text().replace(
-        "strategy: emulator\n",
-        "strategy: joint_trajectory\nstrategy_params:\n  command_topic: /panda/joint_trajectory\n"
-        "  joint_states_topic: /panda/joint_states\n",
-    )
+    text = path.read_text().replace("strategy: emulator\n", "strategy: joint_trajectory\n")
+    for line in ("  action: /panda_arm_controller/follow_joint_trajectory\n", "  strategies: [joint_trajectory]\n"):
+        assert line in text
+        text = text.replace(line, "")
+    text = text.replace("joint_states_topic: /franka/joint_states", "joint_states_topic: /panda/joint_states")
     path.write_text(text.replace("  force: 70.0", "  force: 70.0\n    action: /hand_controller/gripper_cmd"))
     return path
 
 
-@pytest.mark.parametrize("end", ["reached", "stalled", "aborted", "rejected"])
-def test_a_real_gripper_ends_as_its_controller_says(node: Node, driven: Path, tmp_path: Path, end: str) -> None:
+@pytest.mark.parametrize(
+    ("kind", "end"),
+    [
+        *((GripperCommand, end) for end in ("reached", "stalled", "aborted", "rejected")),
+        *((ParallelGripperCommand, end) for end in ("reached", "stalled")),
+    ],
+)
+def test_a_real_gripper_ends_as_its_controller_says(
+    node: Node, driven: Path, tmp_path: Path, kind: Any, end: str
+) -> None:
     finger = [0.04]
-    with router() as endpoint, Bus(endpoint) as bus, controller(node, finger, end):
+    if kind is ParallelGripperCommand:
+        parallel = "gripper_cmd\n    action_type: control_msgs/action/ParallelGripperCommand"
+        driven.write_text(driven.read_text().replace("gripper_cmd", parallel))
+    with router() as endpoint, Bus(endpoint) as bus, controller(node, kind, finger, end):
         bridge = ServiceProcess("ros_bridge", endpoint, tmp_path, str(driven), name="arm")
         executor = ServiceProcess("executor", endpoint, tmp_path, str(driven), name="arm")
         with bridge, executor, zarm.connect(endpoint, "arm") as robot:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -42,8 +42,11 @@ class Gripper(Section):
     driver_timeout: Positive = 2.0
     """How long the driver may report nothing before a motion of the gripper is given up (s)."""
     action: Annotated[str, Field(min_length=1)] | None = None
-    """ROS action of the gripper's controller, `.../gripper_cmd`, of type `control_msgs/action/GripperCommand`. Left out: commands go to
-    `driver/gripper/command` on Zenoh only."""
+    """ROS action of the gripper's controller, `.../gripper_cmd`. Left out: commands go to `driver/gripper/command` on Zenoh only."""
+    action_type: Literal["control_msgs/action/GripperCommand", "control_msgs/action/ParallelGripperCommand"] = (
+        "control_msgs/action/GripperCommand"
+    )
+    """The type of that action; `ros2 action list -t` shows it."""
 
     @property
     def closed(self) -> float:

@@ -1,4 +1,4 @@
-"""The controller of a gripper under ros2_control, driven through its GripperCommand action."""
+"""The controller of a gripper under ros2_control, driven through its action."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ from functools import partial
 from typing import Any
 
 from action_msgs.msg import GoalStatus
-from control_msgs.action import GripperCommand
-from control_msgs.msg import GripperCommand as Command
 from rclpy.action import ActionClient
 from rclpy.task import Future
 
 from zarm_contract.messages import DriverGripperCommand, DriverGripperState
 from zarm_ros_bridge.answers import shortened
 from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.gripper_dialects import DIALECTS, Move
 from zarm_ros_bridge.ros import Ros
 
 log = logging.getLogger(__name__)
@@ -31,8 +30,10 @@ class GripperDriver:
     """
 
     def __init__(self, ros: Ros, engine: Engine, name: str, action: str) -> None:
+        gripper = engine.robot.descriptor.grippers[name]
         self._name, self._action, self._run = name, action, ros.run
-        self._client = ActionClient(ros.node, GripperCommand, action, callback_group=ros.group)
+        self._joint, self._dialect = gripper.joint, DIALECTS[gripper.action_type]
+        self._client = ActionClient(ros.node, self._dialect.kind, action, callback_group=ros.group)
         self._states = engine.bus.publisher(engine.keys.driver_gripper_state)
         self._newest = 0
         engine.bus.subscribe(engine.keys.driver_gripper_command, self._receive)
@@ -53,7 +54,7 @@ class GripperDriver:
                     command.sequence, f"nobody serves {self._action}; start the controller, and see that it is active"
                 )
             return
-        goal = GripperCommand.Goal(command=Command(position=command.position, max_effort=command.force))
+        goal = self._dialect.write(Move(command.position, command.speed, command.force), self._joint)
         sent = self._client.send_goal_async(goal, feedback_callback=partial(self._fed_back, command.sequence))
         sent.add_done_callback(partial(self._answered, command.sequence))
 
@@ -83,7 +84,7 @@ class GripperDriver:
             self._states.put(
                 DriverGripperState(
                     gripper=self._name,
-                    position=message.position,
+                    position=self._dialect.position(message),
                     sequence=sequence,
                     reached=ended and not message.stalled,
                     stalled=ended and message.stalled,

@@ -176,7 +176,7 @@ class _Part:
             if client is not None:
                 with tabs.add_tab("Log"):
                     self._events = EventsPanel(self.panels, folders.records / shown.name / "records")
-        self._source = Watching(shown.source) if isinstance(shown.source, Robot) else shown.source
+        self._source = Watching(shown.source, server.get_clients) if isinstance(shown.source, Robot) else shown.source
 
     def chosen(self, yes: bool) -> None:
         """Show its panels, or those of another robot."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from zarm_contract.messages import Trajectory, Vector3
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.arm import Arm, Ghost
+from zarm_viewer.camera_view import CameraView
 from zarm_viewer.kinematics import Array
 from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.scene_view import SceneView
@@ -47,6 +48,7 @@ class Picture:
         self._ghost = Ghost(lambda: Arm(scene, f"{panels.root}/ghost", robot, body, GHOST, 0.35))
         scene.add_frame(f"{self.arm.tip}/tip_axes", axes_length=0.12, axes_radius=0.004)
         self.scene = SceneView(panels, self.arm.nodes, self.arm.tip, meshes)
+        self._cameras = CameraView(panels, self.arm.nodes)
         self._trail: deque[Array] = deque(maxlen=TRAIL_POINTS)
         self._preview: Array | None = None
         self._widths: dict[str, float] = {}
@@ -73,6 +75,9 @@ class Picture:
             self.scene.draw(news.scene)
         if news.voxels is not None:
             self.scene.draw_voxels(news.voxels)
+        if news.cameras is not None:
+            self._cameras.draw(news.cameras)
+        self._cameras.draw_images(news.images)
         if news.plan is not None:
             self._draw_path(news.plan.trajectory)
         elif news.trajectory is not None:

@@ -14,6 +14,7 @@ import numpy as np
 from zarm.robot import Robot
 from zarm_contract.key import Latched
 from zarm_contract.messages import (
+    Cameras,
     ExecutorState,
     GoalState,
     GoalTrajectory,
@@ -31,7 +32,7 @@ from zarm_geometry.voxel_blocks import VoxelBlocks
 from zarm_viewer.kinematics import Array
 
 _MAP_PERIOD = 0.5
-"""Least time (s) between two drawings of the voxel map."""
+"""Least time (s) between two drawings of the voxel map, and of depth images."""
 
 
 @dataclass(frozen=True)
@@ -56,17 +57,23 @@ class News:
     goals: tuple[GoalState, ...] = ()
     tracking_error: Array | None = None
     grippers: tuple[GripperState, ...] = ()
+    cameras: Cameras | None = None
+    images: Mapping[str, bytes] = field(default_factory=dict)
 
 
 @dataclass
 class Watching:
-    """Subscriptions to one robot. High-rate joints are decoded only when taken."""
+    """Subscriptions to one robot. High-rate joints are decoded only when taken, and images come only while the page is `seen()`."""
 
     robot: Robot
+    seen: Callable[[], object]
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _newest: dict[str, Any] = field(default_factory=dict)
     _goals: dict[str, GoalState] = field(default_factory=dict)
     _grippers: dict[str, GripperState] = field(default_factory=dict)
+    _images: dict[str, bytes] = field(default_factory=dict)
+    _images_taken: float = -math.inf
+    _end_images: Callable[[], None] | None = None
     _tracked: tuple[GoalState, JointState, float] | None = None
     """The newest state of a goal, the joints when it came, and their age then (s)."""
 
@@ -85,6 +92,7 @@ class Watching:
             "planners": keys.planners,
             "trajectory": keys.goal_trajectory,
             "strategies": keys.strategy,
+            "cameras": keys.cameras,
         }
         for name, key in watched.items():
             bus.watch(key, self._put(name))
@@ -94,11 +102,15 @@ class Watching:
 
     def take(self, joint_names: tuple[str, ...]) -> News:
         """Changes since the last call, with joints in this order."""
+        self._choose_images()
         with self._lock:
             newest, self._newest = self._newest, {}
             goals, self._goals = tuple(self._goals.values()), {}
             grippers, self._grippers = tuple(self._grippers.values()), {}
             tracked, self._tracked = self._tracked, None
+            images: dict[str, bytes] = {}
+            if time.monotonic() - self._images_taken >= _MAP_PERIOD:
+                images, self._images, self._images_taken = self._images, {}, time.monotonic()
         joints = self._new_joints("joints", self._joints.received(), joint_names)
         preview = self._new_joints("preview", self._preview.received(), joint_names)
         return News(
@@ -110,6 +122,7 @@ class Watching:
             grippers=grippers,
             tracking_error=None if tracked is None else tracking_error(*tracked, joint_names),
             voxels=self._new_voxels(time.monotonic()),
+            images=images,
             **newest,
         )
 
@@ -139,6 +152,18 @@ class Watching:
                 self._newest[name] = message
 
         return put
+
+    def _choose_images(self) -> None:
+        bus, keys = self.robot.connection.bus, self.robot.connection.keys
+        if self.seen() and self._end_images is None:
+            self._end_images = bus.listen(keys.depth("*"), self._put_image)
+        elif not self.seen() and self._end_images is not None:
+            self._end_images()
+            self._end_images = None
+
+    def _put_image(self, key: str, payload: bytes) -> None:
+        with self._lock:
+            self._images[key.rpartition("/")[2]] = payload
 
     def _put_gripper(self, _: str, state: GripperState) -> None:
         with self._lock:

@@ -31,7 +31,8 @@ from support.viewer import (
     free_port,
     opened,
 )
-from zarm_contract.messages import AgentAnswer, AgentQuestion, Plan, Planners, VoxelBlock
+from zarm_contract.image import encode_image
+from zarm_contract.messages import AgentAnswer, AgentQuestion, Cameras, ImageHeader, Plan, Planners, VoxelBlock
 from zarm_contract.robot import load_robot
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.kinematics import Chain
@@ -411,6 +412,22 @@ def test_what_cameras_see_is_drawn_and_goes_with_it(page: Page, cell: Cell) -> N
     eventually(lambda: drawn(page, "map/map.3.2.1"), "the block is drawn")
     blocks.set(corner.model_copy(update={"cells": ""}), key=key)
     eventually(lambda: not drawn(page, "map/map.3.2.1"), "the block has gone")
+
+
+def test_a_camera_is_drawn_where_it_is_with_its_newest_image(page: Page, cell: Cell) -> None:
+    sizes = {"width": 64, "height": 48, "fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5}
+    camera = zarm.Camera("front", position=(1.0, 0.5, 0.8), look_at=(0.3, 0.0, 0.2), **sizes)
+    cameras, images = cell.bus.publisher(KEYS.cameras), cell.bus.publisher(KEYS.depth("front"))
+    header = ImageHeader(stamp=0.0, width=64, height=48, encoding="16UC1")
+
+    def shown() -> bool:
+        images.put_encoded(encode_image(header, np.full((48, 64), 900, "<u2").tobytes()))
+        return bool(drawn(page, "robot/camera_front"))
+
+    cameras.put(Cameras(cameras=(camera,)))
+    eventually(shown, "the camera is drawn")
+    cameras.put(Cameras())
+    eventually(lambda: not drawn(page, "robot/camera_front"), "the camera has gone")
 
 
 def test_on_a_phone_the_stop_is_in_reach_wherever_the_page_is_scrolled_to(page: Page, second: Page) -> None:
