@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 _BACKLOG = 100_000
 """Messages that may wait for a slow disk; more are lost, and counted. Some minutes of a robot, about 50 MB."""
 
+_IMAGES = 64
+"""Depth images that may wait: 40 MB of 640 x 480 pixels."""
+
 _FLUSH_SECONDS = 1.0
 """Seconds of messages lost at most when the program is killed, and the delay until a full disk is noticed."""
 
@@ -29,10 +32,10 @@ _FLUSH_SECONDS = 1.0
 class Recorder:
     """Records the robot's messages to an MCAP file, `path`, until `close`; `Robot.record` makes it.
 
-    Until then the file is `<path>.part`. Use it in `with`. Thread-safe.
+    Until then the file is `<path>.part`. Use it in `with`. Thread-safe. With `images`, depth images are in it too.
     """
 
-    def __init__(self, connection: Connection, path: Path) -> None:
+    def __init__(self, connection: Connection, path: Path, *, images: bool = False) -> None:
         if path.exists():
             raise InvalidRequest(f"{path} already exists; name another file, or remove it", field="file")
         self.path = path
@@ -41,6 +44,9 @@ class Recorder:
         self._interrupts = connection.interrupts
         self._error: OSError | None = None
         self._entries: queue.SimpleQueue[Entry | None] = queue.SimpleQueue()
+        self._cameras = connection.keys.depth("*").removesuffix("*")
+        self._images = 0  # that wait
+        self._counting = threading.Lock()
         self._file = self._open(connection)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._write, name="record")
@@ -50,6 +56,8 @@ class Recorder:
             for key in Recorded(connection.keys).keys.values():
                 listen = connection.bus.follow if key.recorded == "value and changes" else connection.bus.listen
                 self._listening.append(listen(key, self._put))
+            if images:
+                self._listening.append(connection.bus.listen(connection.keys.depth("*"), self._put_image))
         except BaseException:
             self.close()
             raise
@@ -88,11 +96,22 @@ class Recorder:
         else:
             self.lost += 1
 
+    def _put_image(self, key: str, payload: bytes) -> None:
+        with self._counting:
+            if self._images >= _IMAGES:
+                self.lost += 1
+                return
+            self._images += 1
+        self._put(key, payload)
+
     def _write(self) -> None:
         try:
             flushed = time.monotonic()
             while (entry := self._entries.get()) is not None:
-                self._file.write(entry)
+                if entry[1].startswith(self._cameras):
+                    self._write_image(entry)
+                else:
+                    self._file.write(entry)
                 if time.monotonic() - flushed > _FLUSH_SECONDS:
                     self._file.flush()
                     flushed = time.monotonic()
@@ -102,6 +121,14 @@ class Recorder:
             self._file.abandon()
         finally:
             self._ended.set()
+
+    def _write_image(self, entry: Entry) -> None:
+        with self._counting:
+            self._images -= 1
+        try:
+            self._file.write_image(entry)
+        except InvalidRequest:  # the perception says what is wrong with it
+            self.lost += 1
 
     def _open(self, connection: Connection) -> RecordFile:
         from zarm_runtime.record import RecordFile  # nothing else needs these libraries

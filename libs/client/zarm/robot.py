@@ -113,7 +113,7 @@ class Robot(Calls):
         """The health of a service: `planner`, `executor`, ..."""
         return self._ask(self._keys.health(service), Nothing(), timeout=timeout)
 
-    def record(self, file: str | Path) -> Recorder:
+    def record(self, file: str | Path, *, images: bool = False) -> Recorder:
         """Write what happens to the robot to an MCAP file, which Foxglove and `zarm replay` open, as long as the block lasts.
 
         ```python
@@ -121,8 +121,9 @@ class Robot(Calls):
             robot.execute(plan)
         ```
 
-        Raises InvalidRequest for a file that is there already, and Unavailable where it cannot be written.
+        With `images`, depth images are in it too, for Foxglove; a replay does not publish them. Raises InvalidRequest for a file that is there already, and
+        Unavailable where it cannot be written.
         """
         from zarm.recording import Recorder
 
-        return Recorder(self.connection, Path(file))
+        return Recorder(self.connection, Path(file), images=images)

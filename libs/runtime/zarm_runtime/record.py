@@ -3,7 +3,7 @@
 A channel is a key of the bus, a message the exact bytes sent over it (encoding `json`), with the schema of its class
 (`jsonschema`, named `zarm.<Message>.v4`). `log_time` is when it was sent or received here, in ns since 1970;
 `publish_time` is the same, except for values that already held when the record begins: then it is when they were
-published.
+published. Depth images, which are there on request, are `foxglove.RawImage`.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Message
 from zarm_runtime.recorded import Recorded
+from zarm_runtime.recorded_image import DEFINITION, SCHEMA, raw_image
 from zarm_runtime.version import version
 
 Entry = tuple[int, str, bytes]
@@ -52,6 +53,7 @@ class RecordFile:
         self._recorded = Recorded(keys)
         self._schemas: dict[type[Message], int] = {}
         self._channels: dict[str, int] = {}
+        self._image_schema = 0
         path.parent.mkdir(parents=True, exist_ok=True)
         self._stream = self.draft.open("wb")
         self._writer = Writer(self._stream)
@@ -64,6 +66,18 @@ class RecordFile:
         self.count += 1
         self._writer.add_message(
             channel, log_time=stamp, data=payload, publish_time=published or stamp, sequence=self.count
+        )
+
+    def write_image(self, entry: Entry) -> None:
+        """Add a depth image. Raises InvalidRequest for a payload that is none."""
+        stamp, key, payload = entry
+        data = raw_image(key.rpartition("/")[2], payload)
+        if key not in self._channels:
+            self._image_schema = self._image_schema or self._writer.register_schema(SCHEMA, "jsonschema", DEFINITION)
+            self._channels[key] = self._writer.register_channel(key, "json", self._image_schema)
+        self.count += 1
+        self._writer.add_message(
+            self._channels[key], log_time=stamp, data=data, publish_time=stamp, sequence=self.count
         )
 
     def flush(self) -> None:

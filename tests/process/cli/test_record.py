@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
 import resource
 import signal
+from base64 import b64decode
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from support.command_line import Command, the_one_line, zarm
 from support.executor.client import Client
@@ -16,8 +19,9 @@ from support.harness import ServiceProcess, eventually, free_endpoint
 from support.tiers import sampled
 from support.trajectories import KEYS, moved, rest_to_rest
 from zarm_contract.codec import encode
+from zarm_contract.image import encode_image
 from zarm_contract.keys import Keys
-from zarm_contract.messages import Speed
+from zarm_contract.messages import ImageHeader, Speed
 from zarm_runtime.bus import Bus
 from zarm_runtime.record import RecordFile, read_record
 from zarm_runtime.session import open_router
@@ -62,6 +66,35 @@ def test_a_motion_is_on_record_as_it_went_over_the_bus_and_is_told(
     assert story.returncode == 0, story.stderr
     for part in (KEYS.robot, goal_id, "running", "succeeded at 100%", "emulator", "furthest off"):
         assert part in story.stdout
+
+
+def test_depth_images_are_on_record_if_they_are_asked_for(client: Client, endpoint: str, tmp_path: Path) -> None:
+    file, stamp = tmp_path / "seen.mcap", 1.75e9 + 0.25
+    header = ImageHeader(stamp=stamp, width=32, height=16, encoding="16UC1")
+    pixels = bytes(range(256)) * 4
+    with Bus(endpoint) as bus, recording(endpoint, tmp_path, str(file), "--images") as command:
+        begun(command)
+        images = bus.publisher(KEYS.depth("front"))
+        images.put_encoded(b"no image")
+        for _ in range(3):
+            images.put_encoded(encode_image(header, pixels))
+        goal_id = client.execute(rest_to_rest(moved(0.1)))
+        assert client.ended(goal_id).status == "succeeded"
+        command.interrupt()
+        assert command.end() == 0
+        assert "1 lost" in command.output()
+    with file.open("rb") as stream:
+        seen = [(described, json.loads(message.data)) for described, channel, message in make_reader(stream).iter_messages() if channel.topic == KEYS.depth("front")]  # fmt: skip
+    assert len(seen) == 3
+    described, image = seen[0]
+    assert described is not None
+    assert described.name == "foxglove.RawImage"
+    assert image["timestamp"] == {"sec": 1_750_000_000, "nsec": 250_000_000}
+    assert (image["width"], image["height"], image["encoding"], image["step"]) == (32, 16, "16UC1", 64)
+    assert b64decode(image["data"]) == pixels
+    story = zarm("replay", str(file))
+    assert story.returncode == 0, story.stderr
+    assert goal_id in story.stdout
 
 
 def test_a_record_ends_after_the_seconds_that_were_asked_for(client: Client, endpoint: str, tmp_path: Path) -> None:
