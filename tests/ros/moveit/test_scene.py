@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from moveit_msgs.srv import (
     LoadGeometryFromFile,
     SaveGeometryToFile,
 )
+from octomap_msgs.msg import OctomapWithPose
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from shape_msgs.msg import Plane, SolidPrimitive
@@ -35,6 +37,7 @@ from support.ros.moveit import quaternion
 from support.ros.stack import KEYS, Stack
 from zarm.connection import Connection
 from zarm.robot import Robot
+from zarm_contract.messages import VoxelBlock
 from zarm_contract.robot import load_robot
 
 ROBOT = load_robot("doosan_m1013")
@@ -220,3 +223,56 @@ def test_a_state_is_valid_or_names_what_it_touches(arm: Stack, robot: Robot) -> 
     (contact,) = hit.contacts
     assert "ball" in (contact.contact_body_1, contact.contact_body_2)
     assert contact.depth > 0.0
+
+
+def leaves(placed: OctomapWithPose) -> set[tuple[float, ...]]:
+    """The centres of the occupied cells of an octomap, read as OctoMap reads it: node by node, depth first."""
+    message, origin = placed.octomap, placed.origin.position
+    if not message.data:
+        return set()
+    data = iter(np.array(message.data, np.int8).view(np.uint8).tolist())
+    found, size = set(), message.resolution * 2**15
+
+    def node(center: tuple[float, ...], half: float) -> None:
+        children = [next(data), next(data)]
+        inner = []
+        for k in range(8):
+            kind = children[k // 4] >> 2 * (k % 4) & 0b11
+            at = tuple(c + (half / 2 if k >> axis & 1 else -half / 2) for axis, c in enumerate(center))
+            if kind == 0b11:
+                inner.append(at)
+            elif kind == 0b10:
+                assert half == message.resolution
+                found.add(tuple(round(value, 6) for value in at))
+        for at in inner:
+            node(at, half / 2)
+
+    node((origin.x, origin.y, origin.z), size)
+    assert next(data, None) is None
+    return found
+
+
+def test_what_cameras_see_is_the_octomap_of_the_planning_scene(arm: Stack, robot: Robot) -> None:
+    scenes = arm.ros.heard(PlanningScene, "/monitored_planning_scene", QoSProfile(depth=10))
+    robot.scene.add(zarm.Sphere("ball", radius=0.05, position=(0.8, 0.5, 0.3)))
+    eventually(lambda: scenes, "the whole scene comes first")
+    blocks, rng = arm.bus.latched(KEYS.voxels("*")), np.random.default_rng(0)
+    centers = set()
+    for name, corner in {"0.0.0": (-0.99, -0.99, -0.24), "3.4.1": (-0.03, 0.29, 0.08)}.items():
+        cells = rng.random((16, 16, 16)) < 0.1
+        packed = b64encode(np.packbits(cells).tobytes()).decode()
+        blocks.set(VoxelBlock(position=corner, resolution=0.02, cells=packed), key=KEYS.voxels(name))
+        centers |= {tuple(row) for row in np.round(np.argwhere(cells) * 0.02 + corner, 6).tolist()}
+
+    def shown(wanted: set[tuple[float, ...]]) -> bool:
+        maps = [scene.world.octomap for scene in scenes if scene.is_diff and scene.world.octomap.header.frame_id]
+        return bool(maps) and leaves(maps[-1]) == wanted
+
+    eventually(lambda: shown(centers), "both blocks are in the octomap")
+    asked = PlanningSceneComponents(components=PlanningSceneComponents.OCTOMAP)
+    world = arm.ros.call(GetPlanningScene, "/get_planning_scene", components=asked).scene.world.octomap
+    assert (world.octomap.id, world.octomap.binary, world.octomap.resolution) == ("OcTree", True, 0.02)
+    assert leaves(world) == centers
+    for name in ("0.0.0", "3.4.1"):
+        blocks.set(VoxelBlock(position=(0.0, 0.0, 0.0), resolution=0.02), key=KEYS.voxels(name))
+    eventually(lambda: shown(set()), "the map is empty")

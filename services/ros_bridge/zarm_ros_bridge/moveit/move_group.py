@@ -114,7 +114,7 @@ class Services:
             (GetStateValidity, "check_state_validity", kinematics.check, None),
             (GetMultiStateValidity, "check_multi_state_validity", kinematics.check_all, None),
             (GetGroupUrdf, "get_urdf", self._urdf, _itself),
-            (Empty, "clear_octomap", _nothing, None),
+            (Empty, "clear_octomap", self._clear_map, None),
         ):
             ros.serve(kind, name, self._answering(name, fill, codes))
 
@@ -168,6 +168,9 @@ class Services:
             response.start_state = trajectory_start(plan)
             response.solution = robot_trajectory(plan, self._frames.links.base)
 
+    def _clear_map(self, _: Any, __: Any) -> None:
+        self._engine.client.perception.clear()
+
     def _urdf(self, request: Any, response: Any) -> None:
         self._requests.groups.of(request.group_name)
         response.urdf_string = shown_description(self._engine.robot)
@@ -175,7 +178,3 @@ class Services:
 
 def _itself(response: Any) -> Any:
     return response
-
-
-def _nothing(_: Any, __: Any) -> None:
-    """There is no octomap to clear."""

@@ -22,9 +22,11 @@ from std_msgs.msg import ColorRGBA
 from zarm_contract.messages import Scene, SceneObject
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.frames import matrix
+from zarm_geometry.voxel_blocks import VoxelBlocks
 from zarm_ros_bridge.convert.colours import Colour
 from zarm_ros_bridge.frames import placed
 from zarm_ros_bridge.moveit.collision_objects import collision_object, id_of
+from zarm_ros_bridge.moveit.octomap import octomap
 from zarm_ros_bridge.moveit.states import Positions, robot_state
 
 Array = NDArray[np.float64]
@@ -42,10 +44,17 @@ def grouped(objects: Iterable[SceneObject]) -> dict[str, list[SceneObject]]:
 
 
 class PlanningSceneMessages:
-    """Makes the messages. `origins` are the poses (4, 4) that clients gave collision objects, by id."""
+    """Makes the messages. `origins` are the poses (4, 4) that clients gave collision objects, by id, and `voxels` the blocks of the voxel map."""
 
-    def __init__(self, robot: RobotDescription, origins: Mapping[str, Array], colours: Mapping[str, Colour]) -> None:
+    def __init__(
+        self,
+        robot: RobotDescription,
+        origins: Mapping[str, Array],
+        colours: Mapping[str, Colour],
+        voxels: VoxelBlocks,
+    ) -> None:
         self._robot = robot
+        self._voxels = voxels
         self._origins = origins
         self._colours = colours
 
@@ -63,6 +72,8 @@ class PlanningSceneMessages:
                 self._object(identity, parts, geometry=bool(components & C.WORLD_OBJECT_GEOMETRY))
                 for identity, parts in grouped(scene.objects).items()
             ]
+        if components & C.OCTOMAP:
+            message.world.octomap = octomap(self._voxels.objects.values(), descriptor.base_link)
         if components & C.ALLOWED_COLLISION_MATRIX:
             message.allowed_collision_matrix = self.allowed(scene)
         if components & C.LINK_PADDING_AND_SCALING:
@@ -73,6 +84,13 @@ class PlanningSceneMessages:
                 ObjectColor(id=name, color=ColorRGBA(r=r, g=g, b=b, a=a))
                 for name, (r, g, b, a) in self._colours.items()
             ]
+        return message
+
+    def seen(self) -> Any:
+        """What has changed if only the voxel map has."""
+        message = PlanningScene(robot_model_name=self._robot.descriptor.name, is_diff=True)
+        message.robot_state.is_diff = True
+        message.world.octomap = octomap(self._voxels.objects.values(), self._robot.descriptor.base_link)
         return message
 
     def allowed(self, scene: Scene) -> Any:

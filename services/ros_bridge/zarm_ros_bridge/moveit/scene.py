@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
+import time
 from collections.abc import Callable, MutableMapping
 from pathlib import Path
 from types import TracebackType
@@ -24,6 +26,7 @@ from rclpy.qos import QoSProfile
 
 from zarm_contract.errors import InternalError, ZarmError
 from zarm_contract.messages import Scene, SceneObject
+from zarm_geometry.voxel_blocks import VoxelBlocks
 from zarm_ros_bridge.convert.colours import Colour
 from zarm_ros_bridge.convert.joints import known_as
 from zarm_ros_bridge.engine import Engine
@@ -41,6 +44,8 @@ Array = NDArray[np.float64]
 EDITS = QoSProfile(depth=100)
 STATE_PERIOD = 0.25
 """How often (s) the state of the robot is published in the scene while it moves, as MoveIt does by default."""
+MAP_PERIOD = 0.5
+"""Least time (s) between two octomaps in the scene."""
 _MOVED = 1e-4
 
 
@@ -52,7 +57,8 @@ class PlanningScenes:
         self._frames = frames
         self._colours = colours
         self._origins: dict[str, Array] = {}
-        self._messages = PlanningSceneMessages(engine.robot, self._origins, colours)
+        self._voxels = VoxelBlocks()
+        self._messages = PlanningSceneMessages(engine.robot, self._origins, colours, self._voxels)
         self._editing = threading.Lock()
         self._changed = threading.Event()
         self._ended = False
@@ -75,6 +81,7 @@ class PlanningScenes:
     def __enter__(self) -> Self:
         self._thread.start()
         self._engine.bus.watch(self._engine.keys.scene, self._on_scene)
+        self._engine.bus.watch(self._engine.keys.voxels("*"), self._voxels.receive)
         return self
 
     def __exit__(
@@ -155,7 +162,9 @@ class PlanningScenes:
                 raise Refusal(Val.FAILURE, "links are not scaled; leave it at 1", f"link_scale[{i}].scale")
         if message.world.octomap.octomap.data:
             raise Refusal(
-                Val.SENSOR_INFO_STALE, "an octomap is not taken; add the objects that it shows", "world.octomap"
+                Val.SENSOR_INFO_STALE,
+                "an octomap is not taken; the voxel map is made from cameras (`zarm up --perception`)",
+                "world.octomap",
             )
         if not message.is_diff:
             self._clear()
@@ -317,6 +326,7 @@ class PlanningScenes:
         shown: Scene | None = None
         at: tuple[float, ...] = ()
         subscribers = 0
+        mapped, mapped_at = self._voxels.objects, -math.inf
         while not self._ended:
             self._changed.wait(STATE_PERIOD)
             self._changed.clear()
@@ -328,7 +338,10 @@ class PlanningScenes:
             joints = self._joints()
             if scene is not shown or subscribers > before:
                 self._publisher.publish(self._messages.message(scene, joints))
-                shown, at = scene, joints or ()
+                shown, at, mapped, mapped_at = scene, joints or (), self._voxels.objects, time.monotonic()
+            elif self._voxels.objects is not mapped and time.monotonic() - mapped_at > MAP_PERIOD:
+                mapped, mapped_at = self._voxels.objects, time.monotonic()
+                self._publisher.publish(self._messages.seen())
             elif joints is not None and _differ(joints, at):
                 diff = self._messages.message(scene, joints, PlanningSceneComponents.ROBOT_STATE)
                 diff.is_diff = diff.robot_state.is_diff = True
