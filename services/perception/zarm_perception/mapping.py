@@ -61,7 +61,7 @@ class Mapping:
         self._history, self._grippers = history, grippers
         self._publish, self._report = publish, report
         self._sources: dict[str, CameraSource] = {}
-        self._waiting: dict[str, Image] = {}
+        self._waiting: dict[str, tuple[CameraSource, Image]] = {}
         self._unknown: set[str] = set()
         self._scene = Scene(revision="0-000000000000")
         self._shapes: tuple[tuple[object, ...], RobotShapes] | None = None
@@ -140,7 +140,7 @@ class Mapping:
             return
         if image is not None:
             with self._lock:
-                self._waiting[name] = image
+                self._waiting[name] = source, image
             self._news.set()
 
     def clear(self, _: Nothing) -> Nothing:
@@ -171,8 +171,8 @@ class Mapping:
                 self._news.clear()
                 with self._lock:
                     images, self._waiting = self._waiting, {}
-                for name, image in images.items():
-                    if (source := self._sources.get(name)) is not None:
+                for name, (source, image) in images.items():
+                    if self._sources.get(name) is source:  # and not another camera of that name
                         self._take(source, image)
             if time.monotonic() >= due:
                 due = time.monotonic() + _STATE_PERIOD
