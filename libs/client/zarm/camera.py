@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from zarm.values import Checked, numbers
 from zarm_contract import messages
-from zarm_contract.camera import looking
 from zarm_contract.errors import InvalidRequest
+from zarm_contract.looking import looking
 
 if TYPE_CHECKING:
     from zarm.values import Numbers
