@@ -11,6 +11,7 @@ import pytest
 
 from support.harness import ServiceProcess
 from support.trajectories import KEYS
+from support.undriven_panda import undriven_panda
 from zarm_runtime.bus import Bus
 
 ASK = "from zarm_runtime.realtime import *; print(ask_for_realtime(PROCESS_PRIORITY))"
@@ -22,6 +23,8 @@ WITHOUT_ROS = "import sys; sys.modules['rclpy'] = None; from zarm_leeloo_sim.ser
     [("doosan_m1013", "`make ros` installs it"), ("panda", "write strategy_params into its descriptor")],
 )
 def test_it_refuses_ros_that_it_cannot_speak(robot: str, words: str, endpoint: str, tmp_path: Path) -> None:
+    if robot == "panda":
+        robot = str(undriven_panda(tmp_path))
     command = [sys.executable, "-c", WITHOUT_ROS, "--robot", robot, "--connect", endpoint, "--state", str(tmp_path)]
     done = subprocess.run([*command, "--ros"], stderr=subprocess.PIPE, text=True, timeout=60)
     assert done.returncode == 1

@@ -153,8 +153,9 @@ def test_plans_keep_the_whole_arm_and_its_speed_inside_the_policy(cell: Cell) ->
         await agent.get("execute", plan_id=plan["plan_id"])
 
     cell.serve(use)
-    positions = np.array([state.position for state in cell.measured])
-    stamps = np.array([state.stamp for state in cell.measured])
+    measured = [*cell.measured]  # more are coming
+    positions = np.array([state.position for state in measured])
+    stamps = np.array([state.stamp for state in measured])
     tips = np.array([MODEL.fk_tip(position)[:3, 3] for position in positions])
     speed = np.linalg.norm(tips[10:] - tips[:-10], axis=1) / np.maximum(stamps[10:] - stamps[:-10], 0.05)
     assert speed.max() < 0.31

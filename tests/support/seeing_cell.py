@@ -72,6 +72,7 @@ class Cell:
         for service, arguments in started.items():
             self.processes[service] = self.begin(service, *arguments)
         self.bus.watch(self.keys.voxels("*"), self.blocks.receive)
+        self.bus.watch(self.keys.perception_state, self.blocks.on_state)
         self.robot = stack.enter_context(zarm.connect(self.endpoint))
 
     def begin(self, service: str, *arguments: str) -> ServiceProcess:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import threading
+import time
 from base64 import b64decode
 from collections.abc import Callable, Mapping
 from itertools import compress, product
 
 import numpy as np
 
-from zarm_contract.messages import VoxelBlock, Voxels
+from zarm_contract.messages import PerceptionState, VoxelBlock, Voxels
 from zarm_contract.messages.perception import BLOCK
 
 MAP = "map."
 """With this begin the names of its objects; the name of the block follows."""
 
+_AHEAD = 2.0
+"""So long (s) a block may be ahead of the state of its map."""
 _CELLS = [*product(range(BLOCK), range(BLOCK), range(BLOCK))]
 """The voxels of a block in the order of its bits."""
 
@@ -26,6 +29,7 @@ class VoxelBlocks:
         self._changed = changed
         self._lock = threading.Lock()
         self._objects: Mapping[str, Voxels] = {}
+        self._arrived: dict[str, float] = {}
 
     @property
     def objects(self) -> Mapping[str, Voxels]:
@@ -38,8 +42,27 @@ class VoxelBlocks:
         with self._lock:
             objects = {other: item for other, item in self._objects.items() if other != name}
             if block.cells:
-                objects[name] = _voxels(name, block)
+                objects[name], self._arrived[name] = _voxels(name, block), time.monotonic()
             self._objects = objects
+        self._changed()
+
+    def on_state(self, _key: str, state: PerceptionState) -> None:
+        """Drop the blocks outside of the box of the map: they are of a map that was larger. Those that have just come may be ahead of the state of a map that has
+        grown.
+        """
+        now = time.monotonic()
+        with self._lock:
+            gone = [
+                name
+                for name, item in self._objects.items()
+                if now - self._arrived[name] > _AHEAD
+                and not all(
+                    low < at < high for low, at, high in zip(state.lower, item.position, state.upper, strict=True)
+                )
+            ]
+            if not gone:
+                return
+            self._objects = {name: item for name, item in self._objects.items() if name not in gone}
         self._changed()
 
 

@@ -139,6 +139,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         program_changes = ProgramChanges(_serve_scene(service, store.scene, handlers.edit, store.notes))
         bus.subscribe(keys.object_pose("*"), handlers.scenes.moved.receive)
         bus.watch(keys.voxels("*"), handlers.scenes.voxels.receive)
+        bus.watch(keys.perception_state, handlers.scenes.voxels.on_state)
         bus.watch(keys.perception_state, handlers.map_health.receive)
         bus.watch(keys.gripper_state("*"), handlers.grippers.receive)
         bus.serve(keys.settings, change_settings, workers=1)

@@ -97,6 +97,7 @@ class Watching:
         for name, key in watched.items():
             bus.watch(key, self._put(name))
         bus.watch(keys.voxels("*"), self._voxels.receive)
+        bus.watch(keys.perception_state, self._voxels.on_state)
         bus.watch(keys.goal("*"), self._put_goal)
         bus.watch(keys.gripper_state("*"), self._put_gripper)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import signal
 import socket
 from pathlib import Path
@@ -14,8 +13,8 @@ import pytest
 from support.command_line import ROBOT, SERVICES, Command, Up, the_one_line, zarm
 from support.harness import eventually, free_endpoint
 from support.tiers import sampled
+from support.undriven_panda import undriven_panda
 from zarm_contract.keys import ALL_ALIVE
-from zarm_contract.robot import ROBOTS
 from zarm_runtime.bus import Bus
 
 
@@ -29,11 +28,7 @@ def test_up_says_what_runs_where_and_what_to_try_next(up: Up, empty_scene: None)
 
 
 def test_physics_for_a_robot_that_nothing_would_drive_is_refused_with_the_remedy(tmp_path: Path) -> None:
-    shutil.copy(ROBOTS / "panda.urdf", tmp_path)
-    text = (ROBOTS / "panda.yaml").read_text(encoding="utf-8")
-    alone = re.sub(r"strategy_params:\n(  .*\n)+", "", text)
-    (tmp_path / "panda.yaml").write_text(alone, encoding="utf-8")
-    refused = zarm("up", "--robot", str(tmp_path / "panda.yaml"), "--driver", "physics", "--listen", free_endpoint())
+    refused = zarm("up", "--robot", str(undriven_panda(tmp_path)), "--driver", "physics", "--listen", free_endpoint())
     assert refused.returncode == 1
     assert "panda has no strategy_params in its descriptor" in the_one_line(refused.stderr)
 

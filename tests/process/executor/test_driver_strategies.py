@@ -19,6 +19,7 @@ from support.paths import EXAMPLES
 from support.resources import ahead_of_others, favour
 from support.tiers import sampled
 from support.trajectories import HOME, KEYS, ROBOT, forgiving, moved, patient, rest_to_rest
+from support.undriven_panda import undriven_panda
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import DriverFault, JointState
 from zarm_contract.robot import find_robot, load_robot
@@ -193,7 +194,7 @@ def test_a_strategy_that_the_driver_cannot_play_says_so(bus: Bus, endpoint: str,
 
 
 def test_a_robot_without_strategy_params_says_that(bus: Bus, endpoint: str, tmp_path: Path) -> None:
-    with ServiceProcess("executor", endpoint, tmp_path, robot="panda") as process:
+    with ServiceProcess("executor", endpoint, tmp_path, robot=str(undriven_panda(tmp_path))) as process:
         keys = type(KEYS)("panda")
         process.wait_ready(bus, keys)
         infos = {info.name: info for info in Client(bus, keys).strategy().strategies}

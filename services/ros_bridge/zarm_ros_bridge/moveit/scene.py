@@ -82,6 +82,7 @@ class PlanningScenes:
         self._thread.start()
         self._engine.bus.watch(self._engine.keys.scene, self._on_scene)
         self._engine.bus.watch(self._engine.keys.voxels("*"), self._voxels.receive)
+        self._engine.bus.watch(self._engine.keys.perception_state, self._voxels.on_state)
         return self
 
     def __exit__(

@@ -57,6 +57,7 @@ class WorldMonitor:
         bus.watch(keys.gripper_state("*"), self.grippers.receive)
         bus.watch(keys.scene, self.scene.on_scene)
         bus.watch(keys.voxels("*"), self.voxels.receive)
+        bus.watch(keys.perception_state, self.voxels.on_state)
         bus.listen(keys.scene_object("*"), self._on_object)
         bus.watch(keys.executor_state, lambda _, state: _call(self.on_state, state))
         bus.watch(keys.goal("*"), lambda _, goal: _call(self.on_goal, goal))
