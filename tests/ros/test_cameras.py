@@ -49,6 +49,13 @@ class Lab:
         self.joints = self.bus.publisher(KEYS.joint_states)
         self.robot = stack.enter_context(zarm.connect(endpoint))
 
+    def expect_a_plane_below_the_camera(self) -> None:
+        """All voxels are 80 cm below the camera, in the middle of what it sees."""
+        found = self.blocks.objects.values()
+        points = np.concatenate([np.array(one.cells) * one.resolution + one.position for one in found])
+        np.testing.assert_allclose(points[:, 2], 0.2, atol=0.011)
+        np.testing.assert_allclose(points.mean(axis=0)[:2], 0.7, atol=0.02)
+
     def stand(self) -> None:
         home = M1013.descriptor.home
         state = JointState(stamp=time.time(), joint_names=M1013.descriptor.joints, position=home, velocity=(0.0,) * 6)
@@ -82,11 +89,7 @@ def test_images_of_a_ros_topic_become_voxels(encoding: str, big: bool, padding: 
         return sum(len(one.cells) for one in lab.blocks.objects.values()) > 400
 
     eventually(seen, "the camera sees half a metre by forty centimetres")
-    points = np.concatenate(
-        [np.array(one.cells) * one.resolution + one.position for one in lab.blocks.objects.values()]
-    )
-    np.testing.assert_allclose(points[:, 2], 0.2, atol=0.011)
-    np.testing.assert_allclose(points.mean(axis=0)[:2], 0.7, atol=0.02)
+    lab.expect_a_plane_below_the_camera()
 
 
 def cloud(kind: str, *, big: bool = False) -> PointCloud2:
@@ -118,11 +121,7 @@ def test_clouds_of_a_ros_topic_become_voxels(kind: str, big: bool, lab: Lab, nod
         return sum(len(one.cells) for one in lab.blocks.objects.values()) > 250
 
     eventually(seen, "the camera sees forty centimetres by thirty")
-    points = np.concatenate(
-        [np.array(one.cells) * one.resolution + one.position for one in lab.blocks.objects.values()]
-    )
-    np.testing.assert_allclose(points[:, 2], 0.2, atol=0.011)
-    np.testing.assert_allclose(points.mean(axis=0)[:2], 0.7, atol=0.02)
+    lab.expect_a_plane_below_the_camera()
 
 
 def test_intrinsics_come_from_the_camera_info_beside_the_images(lab: Lab, node: Node) -> None:

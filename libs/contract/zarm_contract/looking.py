@@ -11,7 +11,9 @@ _SAME = 1e-9
 
 
 def looking(eye: Sequence[float], at: Sequence[float]) -> Quaternion:
-    """The orientation of an optical frame at `eye` (3,) that looks at a point (3,), its y as far down as possible. Raises ValueError for the same point."""
+    """The orientation of an optical frame at `eye` (3,) that looks at a point (3,), its y as far down as possible. Raises ValueError for the same point, or none."""
+    if len(at) != 3 or len(eye) != 3:
+        raise ValueError("a point has three coordinates: x, y and z in m")
     along = [there - here for there, here in zip(at, eye, strict=True)]
     length = math.hypot(*along)
     if length < _SAME:

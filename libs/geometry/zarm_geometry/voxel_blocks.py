@@ -47,23 +47,29 @@ class VoxelBlocks:
         self._changed()
 
     def on_state(self, _key: str, state: PerceptionState) -> None:
-        """Drop the blocks outside of the box of the map: they are of a map that was larger. Those that have just come may be ahead of the state of a map that has
-        grown.
+        """Drop the blocks that are not where the map has one of that name: they are of an earlier map with another box. One that has just come
+        may be ahead of the state of its map.
         """
         now = time.monotonic()
         with self._lock:
-            gone = [
+            gone = {
                 name
                 for name, item in self._objects.items()
-                if now - self._arrived[name] > _AHEAD
-                and not all(
-                    low < at < high for low, at, high in zip(state.lower, item.position, state.upper, strict=True)
-                )
-            ]
+                if now - self._arrived[name] > _AHEAD and not _is_of(item, state)
+            }
             if not gone:
                 return
             self._objects = {name: item for name, item in self._objects.items() if name not in gone}
         self._changed()
+
+
+def _is_of(item: Voxels, state: PerceptionState) -> bool:
+    """Whether a map with this state has this block there."""
+    index = map(int, item.name.removeprefix(MAP).split("."))
+    return item.resolution == state.resolution and all(
+        abs(low + (BLOCK * k + 0.5) * state.resolution - at) < 0.5 * state.resolution and at < high
+        for low, high, k, at in zip(state.lower, state.upper, index, item.position, strict=True)
+    )
 
 
 def _voxels(name: str, block: VoxelBlock) -> Voxels:
