@@ -165,7 +165,8 @@ class Line(Checked, messages.LineGoal):
 
 
 class Arc(Checked, messages.ArcGoal):
-    """A circular arc of the tip to a `pose` or position (m), through the point `via` or the shorter way around `center` (m).
+    """A circular arc of the tip to a `pose` or position (m), through the point `via` or the shorter way around `center` (m). Where it ends
+    at its start it is a full circle: give both.
 
     The other options are those of `Line`.
     """

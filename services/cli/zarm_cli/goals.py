@@ -129,7 +129,7 @@ def typed_curve(
     fields = {name: value for name, value in motion.items() if value is not None}
     if not names and blend is None and not fields:
         return None
-    if len(names) != 1:
+    if len(names) != 1 and names != ["--via", "--center"]:  # both of a full circle
         raise typer.BadParameter("give exactly one of them", param_hint=" / ".join(asked))
     if blend is not None and not line:
         raise typer.BadParameter("belongs to --line", param_hint="--blend")

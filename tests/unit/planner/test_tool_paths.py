@@ -177,6 +177,23 @@ def test_arc_keeps_to_its_circle(given: str, orienting: Any) -> None:
     keeps_limits(M1013, verified)
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_full_circle_begins_towards_via(side: float) -> None:
+    begin = tip(M1013)
+    start, radius = begin[:3, 3], 0.1
+    center = start + (0.0, radius, 0.0)
+    via = center + radius * np.array((0.0, math.sin(0.3), side * math.cos(0.3)))
+    goal = ArcGoal(kind="arc", position=tuple(start), center=tuple(center), via=tuple(via))
+    verified = planned(M1013, goal)
+    _, joints = dense(verified, 0.005)
+    off = tip(M1013, joints)[:, :3, 3] - center
+    assert np.abs(np.linalg.norm(off, axis=1) - radius).max() <= DISTANCE
+    angles = np.unwrap(np.arctan2(side * off[:, 2], -off[:, 1]))
+    assert np.all(np.diff(angles) >= -1e-6)
+    assert angles[-1] - angles[0] == pytest.approx(2.0 * math.pi, abs=1e-3)
+    keeps_limits(M1013, verified)
+
+
 @pytest.mark.parametrize("blend", [None, 0.02, 0.0])
 def test_path_leaves_its_lines_only_in_the_corners(blend: float | None) -> None:
     begin = tip(M1013)
@@ -316,6 +333,21 @@ BEGIN = tip(M1013)
             "give via",
         ),
         (ArcGoal(kind="arc", position=shifted(BEGIN, 0, 0.2, 0)), "goal.via", "either via"),
+        (
+            ArcGoal(kind="arc", position=shifted(BEGIN, 0, 0, 0), via=shifted(BEGIN, 0, 0.1, 0)),
+            "goal.center",
+            "give both",
+        ),
+        (
+            ArcGoal(
+                kind="arc",
+                position=shifted(BEGIN, 0, 0, 0),
+                via=shifted(BEGIN, 0, 0.2, 0),
+                center=shifted(BEGIN, 0, 0.1, 0),
+            ),
+            "goal.via",
+            "move via",
+        ),
         (
             PathGoal(kind="path", points=points_of((0, 0.1, 0), (0, 0.1, 0))),
             "goal.points.1",

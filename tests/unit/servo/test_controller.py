@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -88,6 +90,22 @@ def test_a_reachable_pose_is_reached_to_a_millimetre_and_a_hundredth_of_a_radian
     assert np.linalg.norm(tip[:3, 3] - pose[:3, 3]) < 0.001
     assert np.linalg.norm(tip[:3, :3] - pose[:3, :3]) < 0.01
     assert np.abs(step.state[1]).max() < 0.001
+    session.assert_sound()
+
+
+@pytest.mark.parametrize("frame", ["base", "tool"])
+def test_jog_starts_moves_and_stops_on_a_line(frame: Literal["base", "tool"]) -> None:
+    session, asked = Session(), np.array([0.0, 0.2, 0.05, 0.0, 0.0, 0.0])
+    session.follow(TwistTarget(asked, frame), 0.8)
+    session.follow(TwistTarget(-asked, frame), 0.8)
+    session.follow(TwistTarget(np.zeros(6), frame), 0.4)
+    along = TwistTarget(asked, frame).in_base(TIP)[:3] / np.linalg.norm(asked)
+    tips = MODEL.fk_tip(np.array(session.states)[:, 0])
+    off = tips[:, :3, 3] - TIP[:3, 3]
+    assert (off @ along).max() > 0.08
+    assert np.linalg.norm(off - np.outer(off @ along, along), axis=1).max() < 5e-4
+    assert np.abs(tips[:, :3, :3] - TIP[:3, :3]).max() < 1e-3
+    assert np.abs(session.steps[-1].state[1]).max() < 1e-3
     session.assert_sound()
 
 

@@ -151,7 +151,8 @@ class LineGoal(ToolPathGoal):
 class ArcGoal(ToolPathGoal):
     """Move the tip on a circular arc to `position` (m) in the base frame; without an `orientation` it keeps its own.
 
-    The arc leads through the point `via` (m), or around `center` (m), then the shorter way. Give one of them.
+    The arc leads through the point `via` (m), or around `center` (m), then the shorter way. Give one of them. An arc that ends where it
+    starts is a full circle around `center`, on which `via` comes first: give both.
     """
 
     kind: Literal["arc"]

@@ -163,6 +163,8 @@ def _arc(goal: ArcGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str) 
 
 def _around(goal: ArcGoal, a: Array, b: Array, field: str) -> tuple[Array, Array, float]:
     """The centre (3,), the unit normal (3,) and the angle (rad) of an arc from `a` to `b` (3,)."""
+    if float(np.linalg.norm(b - a)) < _SAME:
+        return _full_circle(goal, a, field)
     if (goal.via is None) == (goal.center is None):
         raise InvalidRequest(
             "an arc needs either via, a point on it, or center; give one of them", field=f"{field}.via"
@@ -184,21 +186,46 @@ def _around(goal: ArcGoal, a: Array, b: Array, field: str) -> tuple[Array, Array
         return center, normal, sweep
     center = np.array(goal.center)
     p, q = a - center, b - center
-    radii = float(np.linalg.norm(p)), float(np.linalg.norm(q))
-    if abs(radii[0] - radii[1]) > 1e-4 or min(radii) < _SAME:
-        raise InvalidRequest(
-            f"the center is {1e3 * radii[0]:.2f} mm from the start and {1e3 * radii[1]:.2f} mm from position; it is as far from "
-            "both on an arc",
-            field=f"{field}.center",
-        )
+    _same_radius(p, q, "position", field)
     normal = np.cross(p, q)
-    if np.linalg.norm(normal) < 1e-4 * radii[0] * radii[1]:
+    if np.linalg.norm(normal) < 1e-4 * float(p @ p):
         raise InvalidRequest(
             "the start, center and position lie on a line, so that they do not say in which plane the arc is; give via",
             field=f"{field}.center",
         )
     normal /= np.linalg.norm(normal)
     return center, normal, _angle(p, q, normal)
+
+
+def _full_circle(goal: ArcGoal, a: Array, field: str) -> tuple[Array, Array, float]:
+    """The centre (3,), the unit normal (3,) and the angle (rad) of a circle from `a` (3,) by `via` back to it."""
+    if goal.via is None or goal.center is None:
+        raise InvalidRequest(
+            "an arc that ends where it starts is a full circle; give both its center and via, another point on it",
+            field=f"{field}.via" if goal.via is None else f"{field}.center",
+        )
+    center = np.array(goal.center)
+    p, q = a - center, np.array(goal.via) - center
+    _same_radius(p, q, "via", field)
+    normal = np.cross(p, q)
+    size = float(np.linalg.norm(normal))
+    if size < 1e-4 * float(p @ p):
+        raise InvalidRequest(
+            "the start, center and via lie on a line, so that they do not say in which plane the circle is; move via on the circle",
+            field=f"{field}.via",
+        )
+    return center, normal / size, 2.0 * math.pi
+
+
+def _same_radius(p: Array, q: Array, other: str, field: str) -> None:
+    """Raises InvalidRequest unless `p` and `q` (3,), from the centre to the start and to the `other` point, are as long."""
+    radii = float(np.linalg.norm(p)), float(np.linalg.norm(q))
+    if abs(radii[0] - radii[1]) > 1e-4 or min(radii) < _SAME:
+        raise InvalidRequest(
+            f"the center is {1e3 * radii[0]:.2f} mm from the start and {1e3 * radii[1]:.2f} mm from {other}; it is as far from "
+            "both on an arc",
+            field=f"{field}.center",
+        )
 
 
 def _angle(p: Array, q: Array, normal: Array) -> float:

@@ -29,8 +29,9 @@ from zarm_servo.kernels.step import (
     first_free,
     free_after,
 )
+from zarm_servo.tracking.jog_line import JogLine
 from zarm_servo.tracking.speed_change import SpeedChange
-from zarm_servo.tracking.targets import Target, wish
+from zarm_servo.tracking.targets import Target, TwistTarget, wish
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
 
@@ -40,6 +41,8 @@ _STEADY = 1e-6
 """A distance that falls by less than this (m) between two samples counts as constant."""
 
 Limiting = Literal["free", "slowing", "blocked", "singularity", "joint_limit", "target_stale"]
+_ASIDE: frozenset[Limiting] = frozenset(("slowing", "blocked", "joint_limit", "target_stale"))
+"""What leads the tip aside of the line that a jog asks for, or ends it."""
 _KINDS: dict[int, Limiting] = {FREE: "free", JOINT_LIMIT: "joint_limit", SINGULARITY: "singularity"}
 
 
@@ -92,6 +95,7 @@ class Controller:
         self.state = np.array((position, np.zeros(model.dof), np.zeros(model.dof)))
         self._braking, self._braked = self._to_rest(self.state), 0.0
         self._leaving = False
+        self._jog_line = JogLine()
 
     @property
     def braking(self) -> SpeedChange:
@@ -112,6 +116,8 @@ class Controller:
         else:
             wanted, limitation = self._bounded(target, age, situation, moving=bool(around.moving))
         motion, obstruction = (self._away if self._leaving else self._onward)(wanted, situation)
+        if (obstruction or limitation).kind in _ASIDE:
+            self._jog_line.end()
         if motion is None:
             self._braked += PERIOD
             self.state = self._braking.at(self._braked)
@@ -138,6 +144,10 @@ class Controller:
     def _bounded(self, target: Target, age: float, situation: Situation, *, moving: bool) -> tuple[Array, Limitation]:
         """The joint speeds towards a target inside all bounds, see the kernel, and what limits them."""
         position = self.state[0]
+        if isinstance(target, TwistTarget):
+            target = self._jog_line.follow(self._model, target, self.state, self._limits.acceleration, PERIOD)
+        else:
+            self._jog_line.end()
         asked = wish(self._model, target, age, position, self._limits.velocity, self._limits.acceleration)
         near = nearby(situation.arrays, position, 0.0, RANGE)
         speeds, self._leaving, limiting, row = bounded(

@@ -99,6 +99,11 @@ class TwistTarget:
     frame: Literal["base", "tool"] = "base"
     group: str | None = None
 
+    def in_base(self, tip: Array) -> Array:
+        """The twist (6,) along the axes of the base, with the tip at a pose (4, 4)."""
+        turn = tip[:3, :3] if self.frame == "tool" else np.eye(3)
+        return np.concatenate((turn @ self.twist[:3], turn @ self.twist[3:]))
+
 
 @dataclass(frozen=True)
 class JointSpeedTarget:
@@ -161,9 +166,7 @@ def wish(model: RobotModel, target: Target, age: float, position: Array, speed: 
     near = min(1.0, least / SINGULAR)
     inverse = (v.T * (values / (values**2 + _DAMPING**2 * (1.0 - near**2)))) @ u.T
     if isinstance(target, TwistTarget):
-        turn = model.fk_tip(position, target.group)[:3, :3] if target.frame == "tool" else np.eye(3)
-        twist = np.concatenate((turn @ target.twist[:3], turn @ target.twist[3:]))
-        velocity = inverse @ twist
+        velocity = inverse @ target.in_base(model.fk_tip(position, target.group))
     else:
         error = held @ target.error(model.fk_tip(position, target.group), target.after(age))
         velocity = approach(inverse @ error, acceleration) + inverse @ (held @ target.velocity)
