@@ -121,6 +121,7 @@ _SEGMENTS = (
     m.Wait(kind="wait", duration=0.5, name="settle"),
     m.SpeedChange(kind="speed", velocity_scale=0.5, acceleration_scale=0.25, name="slow"),
     m.Grip(kind="grip", width=0.04),
+    m.SetOutput(kind="output", output="vacuum", on=True, name="hold"),
     m.Detach(kind="detach", object="part", name="drop"),
 )
 _PROGRAM = m.ProgramRequest(
@@ -140,7 +141,10 @@ _PROGRAM = m.ProgramRequest(
 )
 _GRIP = m.Grip(kind="grip", width=0.04, gripper="hand", force=20.0, speed=0.05, tolerance=0.002, name="close")
 _PLANNED_GRIP = m.PlannedGrip(gripper="hand", width=0.04, force=20.0, speed=0.05, tolerance=0.002)
-_PLANNED_SEGMENT = m.PlannedSegment(action="grip", name="close", begin=0.0, end=1.25, grip=_PLANNED_GRIP)
+_OUTPUT = m.OutputRequest(output="vacuum", on=True)
+_PLANNED_SEGMENT = m.PlannedSegment(
+    action="grip", name="close", begin=0.0, end=1.25, grip=_PLANNED_GRIP, output=_OUTPUT
+)
 _ALONG_CURVE = {
     "speed": 0.1,
     "acceleration": 0.5,
@@ -546,8 +550,15 @@ EXAMPLES: tuple[Message, ...] = (
     m.DriverGripperState(
         gripper="hand", position=0.02, sequence=7, reached=True, stalled=True, problem="the gripper has no power"
     ),
+    _OUTPUT,
+    m.OutputState(output="vacuum", on=True, problem=_PROBLEM),
+    m.SetOutput(kind="output", output="vacuum", on=True, name="hold"),
+    m.DriverOutputCommand(output="vacuum", sequence=7, on=True),
+    m.DriverOutputState(output="vacuum", sequence=7, problem="the valve has no power"),
     m.DriverProgress(sequence=7, fraction=0.5, problem="the controller is inactive"),
-    m.DriverFault(stall=True, drop=0.5, delay=0.2, silent=True, die=True, jump=(0.1, -0.2), obstacle=0.03),
+    m.DriverFault(
+        stall=True, drop=0.5, delay=0.2, silent=True, die=True, jump=(0.1, -0.2), obstacle=0.03, output="vacuum"
+    ),
     # physics
     m.BodyPose(name="cube", position=(0.5, 0.0, 0.02), orientation=(0.0, 0.0, 0.0, 1.0)),
     m.Contact(first="panda_leftfinger", second="cube", position=(0.5, 0.02, 0.02), force=12.5),

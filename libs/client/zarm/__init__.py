@@ -36,12 +36,14 @@ from zarm.motions import (
     Offset,
     Path,
     PoseGoal,
+    SetOutput,
     SpeedChange,
     TipFrame,
     Wait,
     Waypoints,
 )
 from zarm.objects import Capsule, Cuboid, Cylinder, Mesh, PointCloud, Sphere, Voxels
+from zarm.outputs import Outputs
 from zarm.planner import PlanOptions
 from zarm.record_story import Story
 from zarm.replaying import replay, story
@@ -115,6 +117,7 @@ __all__ = [
     "Mesh",
     "Move",
     "Offset",
+    "Outputs",
     "Path",
     "PathConstraint",
     "Plan",
@@ -130,6 +133,7 @@ __all__ = [
     "Scene",
     "SceneObject",
     "ServoSession",
+    "SetOutput",
     "SpeedChange",
     "Sphere",
     "StartState",

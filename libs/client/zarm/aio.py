@@ -34,6 +34,7 @@ from typing import (
 
 import zarm.connection
 import zarm.gripper
+import zarm.outputs
 import zarm.perception
 import zarm.replaying
 import zarm.robot
@@ -214,6 +215,17 @@ class Gripper(_Twin[zarm.gripper.Gripper]):
     states = _iterated(zarm.gripper.Gripper.states)
 
 
+class Outputs(_Twin[zarm.outputs.Outputs]):
+    """See `zarm.Outputs`."""
+
+    def __init__(self, connection: Connection) -> None:
+        super().__init__(zarm.outputs.Outputs, connection)
+
+    set = _awaited(zarm.outputs.Outputs.set)
+    all = _awaited(zarm.outputs.Outputs.all)
+    states = _iterated(zarm.outputs.Outputs.states)
+
+
 class Perception(_Twin[zarm.perception.Perception]):
     """See `zarm.Perception`."""
 
@@ -251,6 +263,7 @@ class Robot(_Twin[zarm.robot.Robot]):
         super().__init__(zarm.robot.Robot, connection)
         self.scene = Scene(connection)
         self.gripper = Gripper(connection)
+        self.outputs = Outputs(connection)
         self.perception = Perception(connection)
         self.simulation = Simulation(connection)
 

@@ -302,6 +302,13 @@ class Grip(Checked, messages.Grip):
         )
 
 
+class SetOutput(Checked, messages.SetOutput):
+    """A segment of a program: switch `output` `on` or off, and go on when its driver has done so."""
+
+    def __init__(self, output: str, on: bool, *, name: str | None = None) -> None:
+        super().__init__(kind="output", output=output, on=on, name=name)
+
+
 OneGoal: TypeAlias = "messages.Pose | messages.PoseGoal | Numbers"
 """Where a motion leads: a pose of the tip, one with freedom, whichever of several is quickest to reach, or joint positions (rad)."""
 

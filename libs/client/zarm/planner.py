@@ -102,7 +102,7 @@ class Planner(Kinematics):
             raise
 
     def plan_program(self, segments: Sequence[Segment], /, **options: Unpack[ProgramOptions]) -> Plan:
-        """One verified motion through all segments: `zarm.Move`, `zarm.Wait`, `zarm.Grip`, `zarm.Attach`,
+        """One verified motion through all segments: `zarm.Move`, `zarm.Wait`, `zarm.Grip`, `zarm.SetOutput`, `zarm.Attach`,
         `zarm.Detach`, `zarm.SpeedChange`.
 
         `plan.segments` says when each begins. What a program attaches or detaches changes in the scene when the robot gets there.

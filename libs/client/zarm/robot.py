@@ -1,4 +1,4 @@
-"""One robot: its planner, executor, servo, scene, grippers and simulation, and the short form of each of their methods."""
+"""One robot: its planner, executor, servo, scene, grippers, outputs and simulation, and the short form of each of their methods."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from zarm.connection import ANSWER_SECONDS, Connection
 from zarm.executor import Executor
 from zarm.grasping import Grasping
 from zarm.gripper import Gripper
+from zarm.outputs import Outputs
 from zarm.perception import Perception
 from zarm.planner import Planner
 from zarm.scene import Scene
@@ -57,7 +58,7 @@ def _servo(robot: Robot) -> Servo:
 class Robot(Calls):
     """One robot on the bus; `zarm.connect` makes it.
 
-    `planner`, `executor`, `servo`, `scene`, `gripper`, `grasping`, `perception` and `simulation` have the calls of each part; `robot.plan` is short for
+    `planner`, `executor`, `servo`, `scene`, `gripper`, `outputs`, `grasping`, `perception` and `simulation` have the calls of each part; `robot.plan` is short for
     `robot.planner.plan`, and so on. Joint vectors follow the order of `joints` in the robot's descriptor. Poses are those
     of its tip in its base frame. Every method raises a `zarm.Error`: the problem that the service answers, or Unavailable
     if none answers. Thread-safe; Ctrl-C interrupts only the main thread.
@@ -69,6 +70,7 @@ class Robot(Calls):
         self.executor = Executor(connection)
         self.servo = Servo(connection)
         self.gripper = Gripper(connection)
+        self.outputs = Outputs(connection)
         self.grasping = Grasping(connection)
         self.scene = Scene(connection)
         self.perception = Perception(connection)

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from zarm_contract._faults import one_line
 from zarm_contract.camera import DescribedCamera
 from zarm_contract.collision import CollisionPrimitive, CollisionSphere
+from zarm_contract.digital_output import DigitalOutput
 from zarm_contract.gripper import Gripper
 from zarm_contract.group import JointGroup
 from zarm_contract.messages import GroupName, Joints, NonNegative, Positive, SpeedScale
@@ -188,6 +189,10 @@ class RobotDescriptor(Section):
     """Distance that a plan keeps between links (m), unless its request says another."""
     grippers: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")], Gripper] = Field(default={}, max_length=8)
     """The robot's grippers by name."""
+    outputs: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")], DigitalOutput] = Field(
+        default={}, max_length=64
+    )
+    """Its digital outputs by name."""
     cameras: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")], DescribedCamera] = Field(
         default={}, max_length=16
     )

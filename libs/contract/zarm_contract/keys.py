@@ -27,6 +27,8 @@ from zarm_contract.messages import (
     DriverFault,
     DriverGripperCommand,
     DriverGripperState,
+    DriverOutputCommand,
+    DriverOutputState,
     DriverProgress,
     DriverSpeed,
     ExecuteRequest,
@@ -50,6 +52,8 @@ from zarm_contract.messages import (
     ObjectPose,
     Occupancy,
     OccupancyRequest,
+    OutputRequest,
+    OutputState,
     PerceptionState,
     PhysicsState,
     Plan,
@@ -299,6 +303,16 @@ class Keys:
             recorded="value and changes",
         )
     )
+    output = Query("executor/output", OutputRequest, OutputState, "Switch an output on or off.", to="executor", by=DRIVES)
+    output_state = Family(
+        Latched(
+            "executor/output/<name>/state",
+            OutputState,
+            "One output, as it was switched last; `name` may be `*`.",
+            of="executor",
+            recorded="value and changes",
+        )
+    )
 
     # servo
     servo_start = Query(
@@ -386,6 +400,24 @@ class Keys:
         "driver/gripper/state",
         DriverGripperState,
         "What the driver of a gripper measures, and what became of its command.",
+        by=("driver", "bridge"),
+        realtime=True,
+        droppable=False,
+        recorded="changes",
+    )
+    driver_output_command = Topic(
+        "driver/output/command",
+        DriverOutputCommand,
+        "What the executor sends to the driver of an output.",
+        by=("executor",),
+        realtime=True,
+        droppable=False,
+        recorded="changes",
+    )
+    driver_output_state = Topic(
+        "driver/output/state",
+        DriverOutputState,
+        "What became of a command to an output.",
         by=("driver", "bridge"),
         realtime=True,
         droppable=False,

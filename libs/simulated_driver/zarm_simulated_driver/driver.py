@@ -15,7 +15,14 @@ from typing import Protocol, TextIO
 import numpy as np
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import DriverFault, DriverGripperCommand, DriverGripperState, Nothing
+from zarm_contract.messages import (
+    DriverFault,
+    DriverGripperCommand,
+    DriverGripperState,
+    DriverOutputCommand,
+    DriverOutputState,
+    Nothing,
+)
 from zarm_simulated_driver.player import STEP, Array
 
 log = logging.getLogger(__name__)
@@ -133,6 +140,13 @@ class SimulatedDriver:
         """Move a gripper."""
         with self._lock:
             self._hands.play(command)
+
+    def switch(self, command: DriverOutputCommand) -> DriverOutputState | None:
+        """What becomes of the command to an output; None if nobody is told."""
+        if self._fault.silent:
+            return None
+        problem = f"{command.output} has no power" if command.output == self._fault.output else None
+        return DriverOutputState(output=command.output, sequence=command.sequence, problem=problem)
 
     def set_fault(self, fault: DriverFault) -> Nothing:
         """Apply this fault from now on, and no other. Raises InvalidRequest for a jump with the wrong joints."""

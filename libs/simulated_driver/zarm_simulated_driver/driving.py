@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.messages import DriverOutputCommand
 from zarm_runtime.bus import Bus
 from zarm_runtime.service import Service
 from zarm_simulated_driver.axes import Axes
@@ -65,6 +66,16 @@ def driving(service: Service, bus: Bus, axes: Axes, arm: Arm, hands: Hands) -> I
         )
         side.listen(driver.play)
         bus.subscribe(keys.driver_gripper_command, lambda _, command: driver.grip(command))
+        outputs = bus.publisher(keys.driver_output_state)
+
+        def switch(_: str, command: DriverOutputCommand) -> None:
+            output = service.robot.descriptor.outputs[command.output]
+            if options.ros and output.service is not None:
+                return  # that is not this driver's
+            if (state := driver.switch(command)) is not None:
+                outputs.put(state)
+
+        bus.subscribe(keys.driver_output_command, switch)
         bus.serve(keys.simulated_fault, driver.set_fault)
         ended = threading.Event()
         thread = threading.Thread(target=driver.run, args=(ended,), name="arm")

@@ -27,6 +27,7 @@ MODULES = {
     "execute": "execution",
     "program": "program",
     "gripper": "gripper",
+    "output": "digital_outputs",
     "cancel": "execution",
     "speed": "execution",
     "strategy": "execution",

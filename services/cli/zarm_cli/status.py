@@ -12,6 +12,7 @@ import typer
 from zarm.robot import Robot
 from zarm_cli.client import AsJson, Connect, Name, connected
 from zarm_cli.compatibility import mismatches
+from zarm_cli.digital_outputs import level
 from zarm_cli.interrupts import pause
 from zarm_cli.output import (
     SCENE_CHANGED,
@@ -36,6 +37,7 @@ from zarm_contract.messages import (
     Health,
     JointState,
     Message,
+    OutputState,
     Pose,
     Scene,
 )
@@ -63,7 +65,7 @@ def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: N
         found = {service for _, service, _ in bus.alive(keys.alive("*", "*"))}
         services = {one: _answered(partial(robot.health, one)) for one in sorted(found | {*_NEEDED})}
         state, scene = _answered(robot.state), _answered(robot.scene.read)
-        grippers = robot.gripper.all()
+        grippers, outputs = robot.gripper.all(), robot.outputs.all()
         goal_id = None if state is None else state.goal_id
         goal = None if goal_id is None else _answered(partial(bus.read, keys.goal(goal_id), timeout=1.0))
     faults = list(mismatches({one: health for one, health in services.items() if health is not None}))
@@ -77,11 +79,12 @@ def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: N
                 "executor": state,
                 "goal": goal,
                 "grippers": grippers,
+                "outputs": outputs,
                 "scene": scene,
             }
         )
     else:
-        _print_status(robot, services, state, goal, scene, grippers)
+        _print_status(robot, services, state, goal, scene, grippers, outputs)
         for fault in faults:
             out.print(f"\n{fault.kind}: {fault.message}.", style="yellow" if fault.harmless else "bold red")
     if missing := [one for one in _NEEDED if (health := services[one]) is None or not health.ready]:
@@ -110,6 +113,7 @@ def _print_status(
     goal: GoalState | None,
     scene: Scene | None,
     grippers: Mapping[str, GripperState],
+    outputs: Mapping[str, OutputState],
 ) -> None:
     columns = ("service", "state", "uptime (s)", "pid", "instance", "version", "contract", "robot")
     rows = [("robot", f"{robot.name} at {robot.connection.bus.endpoint}")]
@@ -120,6 +124,7 @@ def _print_status(
     for gripper in grippers.values():
         width = "opening unknown" if gripper.width is None else f"open {gripper.width:.3f} m"
         rows.append((gripper.gripper, f"{width}, {gripper.status}"))
+    rows += [(output.output, level(output)) for output in outputs.values()]
     if scene is not None:
         rows.append(("scene", f"{counted(len(scene.objects), 'object')}, revision {scene.revision}"))
     rows += [(service, health.note) for service, health in services.items() if health is not None and health.note]

@@ -6,6 +6,7 @@ import logging
 import secrets
 import threading
 import time
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from zarm_contract.messages import (
     ExecuteRequest,
     ExecutorState,
     Nothing,
+    PlannedSegment,
     ReplaceTrajectory,
     Speed,
     SpeedRequest,
@@ -26,9 +28,12 @@ from zarm_contract.robot import RobotDescription
 from zarm_executor.admission import REST_PATIENCE, Admission
 from zarm_executor.checks import continuation, executable, startable
 from zarm_executor.goal import Goal
+from zarm_executor.grip_stop import SHARE, GripStop
 from zarm_executor.grippers import Grippers
 from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
+from zarm_executor.output_stop import OutputStop
+from zarm_executor.outputs import Outputs
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
 from zarm_executor.scene import PresentScene
@@ -59,8 +64,9 @@ class Executor:
         speeds: Publisher[Speed],
         kept_speed: StateFile[Speed],
         grippers: Grippers,
+        outputs: Outputs,
     ) -> None:
-        self._grippers = grippers
+        self._grippers, self._outputs = grippers, outputs
         self._robot = robot
         self._machine = machine
         self._reporter = reporter
@@ -101,7 +107,7 @@ class Executor:
                 segments=chosen.segments,
                 touches=chosen.touches,
                 openings=chosen.openings,
-                grips=self._grippers.stops(chosen.grips),
+                stops=tuple(self._stops(chosen.acts)),
             )
             with self._grippers.as_planned(chosen.name, chosen.openings):
                 turn.start(goal)
@@ -109,6 +115,15 @@ class Executor:
             trajectory, RateLimits.of(self._robot.descriptor)
         ).prepare()  # so that no tick has to compute them
         return Accepted(goal_id=goal_id)
+
+    def _stops(self, acts: Sequence[PlannedSegment]) -> Iterator[GripStop | OutputStop]:
+        """Where a goal rests until a gripper has moved or an output is switched. Raises InvalidRequest for one that is not there."""
+        for segment in acts:
+            until = segment.begin + SHARE * (segment.end - segment.begin)
+            if segment.grip is not None:
+                yield self._grippers.stop_at(until, segment.grip)
+            if segment.output is not None:
+                yield OutputStop(until, self._outputs.named(segment.output.output), segment.output.on)
 
     def replace(self, request: ReplaceTrajectory) -> Accepted:
         """Continue a goal along another trajectory. Raises what the checks of a motion and `Machine.replace` raise."""
@@ -205,6 +220,7 @@ class Executor:
         try:
             self._machine.switch(self._strategies.find(name), REST_PATIENCE, arrival)
             self._grippers.switch(name)
+            self._outputs.switch(name)
         finally:
             self._reporter.publish()
         return self.publish_strategies()

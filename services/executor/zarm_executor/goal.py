@@ -9,6 +9,7 @@ from zarm_contract.errors import Problem
 from zarm_contract.messages import GoalState, GoalTrajectory, Openings, Pose, SceneRevision, Touch
 from zarm_executor.grip_stop import GripStop
 from zarm_executor.monitor import Monitor
+from zarm_executor.output_stop import OutputStop
 from zarm_executor.states import Accepted, State, hold_of, outcome_of, status_of
 from zarm_executor.strategies.base import Progress
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -42,7 +43,8 @@ class Goal:
     none was known. `verified` is the revision in which the trajectory was verified, or None; `number` counts its
     trajectories. If `replan` is set, the servo may replace the trajectory, also by one to other joints if the goal is
     the pose `tip`. `segments` are the times (s) at which those of a program begin, `touches` where it may touch objects,
-    `openings` those of the grippers with which it was verified, and `grips` where grippers move. `monitor` watches the motion.
+    `openings` those of the grippers with which it was verified, and `stops` where it rests until a gripper has moved or an output is
+    switched. `monitor` watches the motion.
     """
 
     goal_id: str
@@ -58,7 +60,7 @@ class Goal:
     segments: tuple[float, ...] = ()
     touches: tuple[Touch, ...] = ()
     openings: Openings = ()
-    grips: tuple[GripStop, ...] = ()
+    stops: tuple[GripStop | OutputStop, ...] = ()
 
     @property
     def complete(self) -> bool:

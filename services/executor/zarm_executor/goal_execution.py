@@ -9,7 +9,6 @@ from dataclasses import replace
 from zarm_contract.errors import Busy, ExecutionFailed, ExecutionRefused, Unavailable, ZarmError
 from zarm_contract.messages import Authority, GoalState, Hold, Openings, RobotMode, SceneRevision
 from zarm_executor.goal import Chunk, Goal
-from zarm_executor.grip_stop import HOLD
 from zarm_executor.guard import LEAST_WAY, Guard, Limit, given_up
 from zarm_executor.monitor import Monitor
 from zarm_executor.states import (
@@ -62,9 +61,9 @@ class GoalExecution:
         self._changes = changes
         self._joints_reported = True
         self._failures: list[ExecutionFailed] = []
-        self._grips = deque(goal.grips)
-        self._gripping = False  # whether the first of them has begun
-        self._grip_limit = self._next_grip()
+        self._stops = deque(goal.stops)
+        self._stop_begun = False  # the first of them
+        self._stop_limit = self._next_stop()
         if goal.chunk is not None:
             self._steerable()
 
@@ -88,8 +87,8 @@ class GoalExecution:
     def end(self, outcome: Outcome) -> None:
         """Bring the robot to rest, and then end the goal with this outcome."""
         self._strategy.stop()
-        if self._gripping:
-            self._grips[0].cancel("the goal of the robot ended")
+        if self._stop_begun:
+            self._stops[0].cancel("the goal of the robot ended")
         self._enter(Ending(outcome, held_of(self._state)))
 
     def fail(self, failure: ExecutionFailed) -> None:
@@ -324,8 +323,8 @@ class GoalExecution:
                 self._hold(Hold(reason="no_guard"), now, progress.time)
             elif self._moving and not progress.finished:
                 self._brake_in_time(now)
-        elif held.hold.reason == "gripper":
-            self._grip(held, now)
+        elif self._stops and held.hold is self._stops[0].hold:
+            self._act(held, now)
         elif self._free(held, progress, guarded=guarded):
             self._continue(now, finished=progress.finished)
         elif isinstance(self._state, Held) and now - held.since > self._guard.patience:
@@ -344,29 +343,29 @@ class GoalExecution:
                 self._strategy.move(self._speed_scale)
         self._enter(with_held(self._state, None))
 
-    def _next_grip(self) -> Limit | None:
-        return self._guard.limit(self.goal.trajectory, self._grips[0].until) if self._grips else None
+    def _next_stop(self) -> Limit | None:
+        return self._guard.limit(self.goal.trajectory, self._stops[0].until) if self._stops else None
 
-    def _grip(self, held: Held, now: float) -> None:
-        """At rest, have the gripper move; go on when its fingers stand, or end the goal with the reason."""
+    def _act(self, held: Held, now: float) -> None:
+        """At rest, have the gripper move, or the output switched; go on when that is done, or end the goal with the reason."""
         if not isinstance(self._state, Held) or not held.at_rest:
             return
-        grip, goal_id = self._grips[0], self.goal.goal_id
+        stop, goal_id = self._stops[0], self.goal.goal_id
         try:
-            if not self._gripping:
-                grip.begin(goal_id)
-                self._gripping = True
-            if grip.moving:
+            if not self._stop_begun:
+                stop.begin(goal_id)
+                self._stop_begun = True
+            if stop.moving:
                 return
         except ZarmError as error:
             self.end(Outcome("aborted", error.problem))
             return
-        self._gripping = False
-        if (problem := grip.problem(goal_id)) is not None:
+        self._stop_begun = False
+        if (problem := stop.problem(goal_id)) is not None:
             self.end(Outcome("aborted", problem))
             return
-        self._grips.popleft()
-        self._grip_limit = self._next_grip()
+        self._stops.popleft()
+        self._stop_limit = self._next_stop()
         self._continue(now, finished=False)
 
     def _update_obstruction(self, held: Held) -> None:
@@ -378,11 +377,12 @@ class GoalExecution:
 
     def _brake_in_time(self, now: float) -> None:
         state: PathState | None = None
-        for limit in (self._limit, self._grip_limit):
+        for limit in (self._limit, self._stop_limit):
             if limit is not None:
                 state = state or self._strategy.braking_from()
                 if self._guard.must_brake(limit, state):
-                    self._hold(HOLD if limit is self._grip_limit else limit.hold(state), now, limit.until)
+                    stops = limit is self._stop_limit
+                    self._hold(self._stops[0].hold if stops else limit.hold(state), now, limit.until)
                     return
 
     def _blocked(self, now: float) -> bool:
@@ -406,8 +406,8 @@ class GoalExecution:
         goal, found = self.goal, hold.obstruction
         self._strategy.stop()
         self._enter(with_held(self._state, Held(hold, now, at)))
-        if hold is HOLD:
-            log.info("the goal waits for a gripper goal_id=%s", goal.goal_id)
+        if self._stops and hold is self._stops[0].hold:
+            log.info("the goal waits for its %s goal_id=%s", hold.reason, goal.goal_id)
         elif found is None:
             log.warning("the goal is held goal_id=%s reason=%s", goal.goal_id, hold.reason)
         else:

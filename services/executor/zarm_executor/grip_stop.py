@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from zarm_contract.errors import Problem
 from zarm_contract.messages import GripperRequest, Hold, PlannedGrip
 from zarm_executor.gripper_control import GripperControl
 
-HOLD = Hold(reason="gripper")
 SHARE = 0.6
-"""The robot is held within this share of the time for which it rests at a grip."""
+"""The robot is held within this share of the time for which it rests at a stop."""
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,7 @@ class GripStop:
     until: float
     grip: PlannedGrip
     control: GripperControl
+    hold: ClassVar = Hold(reason="gripper")
 
     def begin(self, goal_id: str) -> None:
         """Move the gripper for this goal. Raises what `GripperControl.start` raises."""

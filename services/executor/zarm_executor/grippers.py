@@ -6,7 +6,7 @@ import logging
 import secrets
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 from zarm_contract.errors import Busy, ExecutionRefused, InvalidRequest, Unavailable
@@ -18,11 +18,11 @@ from zarm_contract.messages import (
     GripperState,
     JointState,
     Openings,
-    PlannedSegment,
+    PlannedGrip,
 )
 from zarm_contract.robot import RobotDescription
 from zarm_contract.strategies import DRIVER_STRATEGIES
-from zarm_executor.grip_stop import SHARE, GripStop
+from zarm_executor.grip_stop import GripStop
 from zarm_executor.gripper_control import GripperControl
 from zarm_executor.gripper_links import DrivenGripper, EmulatedGripper
 from zarm_executor.machine import Machine
@@ -152,15 +152,9 @@ class Grippers:
                 code="stale_plan",
             )
 
-    def stops(self, segments: Sequence[PlannedSegment]) -> tuple[GripStop, ...]:
-        """Where a goal waits for grippers. Raises InvalidRequest for one that is not there."""
-        return tuple(
-            GripStop(
-                segment.begin + SHARE * (segment.end - segment.begin), grip, self._controls[self._named(grip.gripper)]
-            )
-            for segment in segments
-            if (grip := segment.grip) is not None
-        )
+    def stop_at(self, until: float, grip: PlannedGrip) -> GripStop:
+        """A stop of a goal before the path time `until` (s). Raises InvalidRequest for a gripper that is not there."""
+        return GripStop(until, grip, self._controls[self._named(grip.gripper)])
 
     def check_idle(self) -> None:
         """Raises Busy while a gripper moves."""

@@ -31,7 +31,9 @@ class Chosen:
     """The plan to execute, or a trajectory without a plan, which need not claim a scene.
 
     `tip` is the goal of the plan, if that is a pose. `segments` are the times (s) at which the segments of a program
-    begin, `touches` where objects may be touched, `openings` those of the grippers, and `grips` the segments at which they move. A plan `along_curve`, on which the tip keeps to lines, arcs or the ways of a program, must not be replanned.
+    begin, `touches` where objects may be touched, `openings` those of the grippers, and `acts` the segments at which
+    they move or outputs are switched. A plan `along_curve`, on which the tip keeps to lines, arcs or the ways of a program, must not be
+    replanned.
     """
 
     plan_id: str | None
@@ -42,7 +44,7 @@ class Chosen:
     along_curve: bool = False
     touches: tuple[Touch, ...] = ()
     openings: Openings = ()
-    grips: tuple[PlannedSegment, ...] = ()
+    acts: tuple[PlannedSegment, ...] = ()
 
     @property
     def name(self) -> str:
@@ -98,7 +100,7 @@ class Plans:
             along_curve,
             plan.touches,
             plan.openings,
-            tuple(segment for segment in plan.segments if segment.grip is not None),
+            tuple(segment for segment in plan.segments if segment.grip is not None or segment.output is not None),
         )
 
     def _last(self) -> Plan:

@@ -29,6 +29,7 @@ from zarm_executor.grippers import Grippers
 from zarm_executor.guard import Guard
 from zarm_executor.loop import LATE, Loop
 from zarm_executor.machine import Machine
+from zarm_executor.outputs import Outputs
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import PERIOD as REPORTER_PERIOD
 from zarm_executor.reporter import Reporter
@@ -142,8 +143,19 @@ def start(service: Service) -> Iterator[None]:
             grippers = Grippers(
                 robot, machine, command_bus, keys, StateFile(folder / "emulated_grippers.json", JointState)
             )
+            outputs = Outputs(robot, machine.state().strategy, command_bus, keys)
             executor = Executor(
-                robot, machine, reporter, admission, plans, present, strategies, *settings, kept_speed, grippers
+                robot,
+                machine,
+                reporter,
+                admission,
+                plans,
+                present,
+                strategies,
+                *settings,
+                kept_speed,
+                grippers,
+                outputs,
             )
             _export(service.metrics, machine, loop)
             with (
@@ -165,6 +177,7 @@ def start(service: Service) -> Iterator[None]:
                 _serve(bus, service, executor)
                 bus.serve_in_order(keys.gripper, grippers.move)
                 bus.serve(keys.gripper_cancel, grippers.cancel)
+                bus.serve(keys.output, outputs.set)
                 bus.subscribe_in_order(keys.stream, streams.receive)
                 _exempt_from_collection()
                 service.ready()

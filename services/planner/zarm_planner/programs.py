@@ -28,12 +28,14 @@ from zarm_contract.messages import (
     LineGoal,
     Move,
     Offset,
+    OutputRequest,
     PathGoal,
     PathPoint,
     PlannedGrip,
     PlannedSegment,
     PoseGoal,
     Segment,
+    SetOutput,
     SpeedChange,
     TipFrame,
     Touch,
@@ -61,8 +63,8 @@ ALONG_CURVE = {*LineGoal.model_fields} & {*PathGoal.model_fields} - {"kind"}
 """The fields that lines and paths have in common."""
 CHANGE_S = 0.2
 """s for which the robot rests while something is attached or detached: the planner edits the scene meanwhile."""
-GRIP_S = 0.5
-"""s for which the robot rests where a gripper moves, besides the time that the gripper takes: it is held within them."""
+STOP_S = 0.5
+"""s for which the robot rests where a gripper moves or an output is switched, besides the time that this takes: it is held within them."""
 _CANDIDATES = 16
 """Most configurations from which the curves after a motion are tried."""
 
@@ -154,6 +156,7 @@ def plan_program(
         begin, standing = done.time, tuple({*touched, *_touch_after(segments[number + 1 :])})
         together: Sequence[Segment] = (segment,)
         grip: PlannedGrip | None = None
+        output: OutputRequest | None = None
         check()
         try:
             match segment:
@@ -179,7 +182,10 @@ def plan_program(
                 case Grip():
                     grip = stage.grip(segment)
                     _check_standing(stage.context(scales, standing), done.q, grip)
-                    done.add(TimedTrajectory.standing(done.q, GRIP_S), standing)
+                    done.add(TimedTrajectory.standing(done.q, STOP_S), standing)
+                case SetOutput():
+                    output = _output(stage.robot, segment)
+                    done.add(TimedTrajectory.standing(done.q, STOP_S), standing)
         except ZarmError as error:
             failure = _of_segment(error, number, segment, blended=len(together) > 1)
             if not partial or not whole.parts:
@@ -190,10 +196,21 @@ def plan_program(
         passed = len(together) - 1
         ends = [*_passing_times(stage, done, begin, together), done.time]
         for one, (first, last) in zip(together, itertools.pairwise([begin, *ends]), strict=True):
-            planned.append(PlannedSegment(action=one.kind, name=one.name, begin=first, end=last, grip=grip))
+            planned.append(
+                PlannedSegment(action=one.kind, name=one.name, begin=first, end=last, grip=grip, output=output)
+            )
     if not done.parts:
         raise InvalidRequest("no segment of the program moves the robot; add one of kind move", field="segments")
     return PlannedProgram(_whole(done), tuple(planned), tuple(changes), tuple(done.touches), done.groups)
+
+
+def _output(robot: RobotDescription, segment: SetOutput) -> OutputRequest:
+    """What the executor is to do. Raises InvalidRequest for an output that the robot has not."""
+    known = robot.descriptor.outputs
+    if segment.output not in known:
+        has = f"this robot has {', '.join(known)}" if known else "describe it in `outputs` of the robot's descriptor"
+        raise InvalidRequest(f"there is no output {segment.output}; {has}", field="output")
+    return OutputRequest(output=segment.output, on=segment.on)
 
 
 def _check_standing(context: PlanningContext, q: Array, grip: PlannedGrip) -> None:

@@ -24,6 +24,7 @@ from zarm_ros_bridge.convert.trajectories import ros_joint_trajectory
 from zarm_ros_bridge.driver_progress import ProgressReader
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.gripper_driver import GripperDriver
+from zarm_ros_bridge.output_driver import OutputDriver
 from zarm_ros_bridge.ros import Ros
 from zarm_ros_bridge.standing import Standing
 from zarm_runtime.expiry import Expiry
@@ -44,7 +45,8 @@ class Drivers:
     While a robot stands, joint states are forwarded at the rate of `Standing`.
 
     Whole trajectories go to the controller's action, if it has one: `controller` is the participant for that. Where nobody serves the
-    action, but somebody listens to the topic, they go there. Commands to grippers go to the actions of their controllers.
+    action, but somebody listens to the topic, they go there. Commands to grippers go to the actions of their controllers, and those
+    to outputs to services.
 
     Unreadable driver messages are dropped; each kind of fault is logged once. The executor then hears nothing, and
     stops the robot. A driver may start late, leave, and return. DDS discovers each direction separately: joint states
@@ -72,6 +74,11 @@ class Drivers:
             GripperDriver(controller, engine, name, gripper.action)
             for name, gripper in grippers.items()
             if gripper.action is not None and controller is not None
+        ]
+        self._outputs = [
+            OutputDriver(controller, engine, name, output.service)
+            for name, output in engine.robot.descriptor.outputs.items()
+            if output.service is not None and controller is not None
         ]
         self._topic = params.joint_states_topic
         self._complaints: set[str] = set()

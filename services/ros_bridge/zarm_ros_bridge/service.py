@@ -120,8 +120,10 @@ def _participants(service: Service, namespace: str) -> Iterator[tuple[Ros | None
         moveit = controller = None
         if service.options.moveit:
             moveit = stack.enter_context(Ros(MOVE_GROUP, namespace, workers=MOVE_GROUP_WORKERS, parameters=True))
-        actions = [gripper.action for gripper in service.robot.descriptor.grippers.values()]
-        if params is not None and any((params.action, *actions)):
+        descriptor = service.robot.descriptor
+        actions = [gripper.action for gripper in descriptor.grippers.values()]
+        services = [output.service for output in descriptor.outputs.values()]
+        if params is not None and any((params.action, *actions, *services)):
             controller = stack.enter_context(Ros(f"_{NODE}_controller", namespace, workers=0))
         yield moveit, controller
 

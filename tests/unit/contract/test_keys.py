@@ -22,6 +22,7 @@ def every_key(robot: str) -> dict[str, str]:
         "object_pose": keys.object_pose("*"),
         "goal": keys.goal("*"),
         "gripper_state": keys.gripper_state("*"),
+        "output_state": keys.output_state("*"),
         "depth": keys.depth("*"),
         "cloud": keys.cloud("*"),
         "voxels": keys.voxels("*"),

@@ -70,6 +70,13 @@ from zarm_contract.messages.motion import (
     Trajectory,
     Vector3,
 )
+from zarm_contract.messages.output import (
+    DriverOutputCommand,
+    DriverOutputState,
+    OutputRequest,
+    OutputState,
+    SetOutput,
+)
 from zarm_contract.messages.perception import (
     Camera,
     CameraChange,
@@ -228,6 +235,8 @@ __all__ = [
     "DriverFault",
     "DriverGripperCommand",
     "DriverGripperState",
+    "DriverOutputCommand",
+    "DriverOutputState",
     "DriverProgress",
     "DriverSpeed",
     "DynamicObject",
@@ -280,6 +289,8 @@ __all__ = [
     "OccupancyRequest",
     "Offset",
     "Openings",
+    "OutputRequest",
+    "OutputState",
     "PathConstraint",
     "PathGoal",
     "PathPoint",
@@ -325,6 +336,7 @@ __all__ = [
     "ServoTarget",
     "SetLinkCollision",
     "SetObjectCollision",
+    "SetOutput",
     "SettingsChange",
     "Speed",
     "SpeedChange",

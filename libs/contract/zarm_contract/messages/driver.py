@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field, ValidationInfo, field_validator
 
 from zarm_contract._model import Message, ShortMessage
-from zarm_contract.messages.motion import JointNames, Joints, NonNegative, SequenceNumber, same_length, same_width
+from zarm_contract.messages.motion import JointNames, Joints, Name, NonNegative, SequenceNumber, same_length, same_width
 
 
 class DriverCommand(Message):
@@ -74,6 +74,7 @@ class DriverFault(ShortMessage):
     `stall`: play no further point; the robot stands and is still reported. `drop`: share of commands that are lost. `delay`
     (s): from a command to its first point. `silent`: publish nothing. `die`: end the process, as by SIGKILL. `jump` (rad): move
     the reported joints by this much, once. `obstacle` (m): an object of this width stops the fingers of its grippers.
+    `output`: this output cannot be switched.
     """
 
     stall: bool = False
@@ -83,3 +84,4 @@ class DriverFault(ShortMessage):
     die: bool = False
     jump: Joints | None = None
     obstacle: NonNegative | None = None
+    output: Name | None = None

@@ -125,10 +125,10 @@ class Hold(Message):
     """Why the executor holds a goal; the goal goes on by itself when the reason is gone.
 
     `obstruction`: something is in the way. `no_guard`: the servo is silent, and the descriptor demands one. `gripper`: the gripper of a
-    program's segment moves.
+    program's segment moves. `output`: the output of one is being switched.
     """
 
-    reason: Literal["obstruction", "no_guard", "gripper"]
+    reason: Literal["obstruction", "no_guard", "gripper", "output"]
     obstruction: Obstruction | None = None
 
 

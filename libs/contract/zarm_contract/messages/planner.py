@@ -22,6 +22,7 @@ from zarm_contract.messages.motion import (
     Vector3,
     same_length,
 )
+from zarm_contract.messages.output import OutputRequest
 from zarm_contract.messages.scene import SceneRevision
 
 PlannerKind = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
@@ -144,14 +145,15 @@ class TooNear(Message):
 
 class PlannedSegment(Message):
     """A segment of a program: what it does, and when it begins and ends (s). What is attached or detached changes at its
-    beginning. With `grip` a gripper moves, and the robot waits for it.
+    beginning. With `grip` a gripper moves, with `output` one is switched, and the robot waits for it.
     """
 
-    action: Literal["move", "wait", "speed", "attach", "detach", "grip"]
+    action: Literal["move", "wait", "speed", "attach", "detach", "grip", "output"]
     name: Name | None = None
     begin: NonNegative
     end: NonNegative
     grip: PlannedGrip | None = None
+    output: OutputRequest | None = None
 
 
 class PlanTorque(ShortMessage):

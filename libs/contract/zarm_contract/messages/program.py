@@ -10,6 +10,7 @@ from zarm_contract._model import Message
 from zarm_contract.messages.goals import Blend, Goal, GroupName
 from zarm_contract.messages.gripper import Grip, Openings
 from zarm_contract.messages.motion import Joints, Name, Positive, Scale
+from zarm_contract.messages.output import SetOutput
 from zarm_contract.messages.planner import Attempts, Margin, Timeout
 
 
@@ -66,7 +67,7 @@ class Detach(Message):
     name: Name | None = None
 
 
-Segment = Annotated[Move | Wait | SpeedChange | Attach | Detach | Grip, Field(discriminator="kind")]
+Segment = Annotated[Move | Wait | SpeedChange | Attach | Detach | Grip | SetOutput, Field(discriminator="kind")]
 
 
 class ProgramRequest(Message):

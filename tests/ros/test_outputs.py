@@ -1,0 +1,64 @@
+"""A digital output that a ROS service switches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+from rclpy.node import Node
+from std_srvs.srv import SetBool
+
+import zarm
+from support.harness import ServiceProcess, router
+from support.outputs import M1013, with_outputs
+from support.ros.node import destroyed
+from zarm_contract.keys import Keys
+from zarm_runtime.bus import Bus
+
+KEYS = Keys(M1013.descriptor.name)
+
+
+@contextmanager
+def vacuum(node: Node, asked: list[bool], *, works: bool) -> Iterator[None]:
+    """The robot's service for its vacuum."""
+
+    def switch(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        asked.append(request.data)
+        response.success, response.message = works, "" if works else "no air"
+        return response
+
+    service = node.create_service(SetBool, "/cell/vacuum", switch)
+    try:
+        yield
+    finally:
+        destroyed(node, node.destroy_service, service)
+
+
+def test_output_is_switched_through_the_service_of_the_robot(node: Node, tmp_path: Path) -> None:
+    descriptor = with_outputs(tmp_path, "{service: /cell/vacuum, driver_timeout: 20}")
+    asked: list[bool] = []
+    with ExitStack() as stack:
+        endpoint = stack.enter_context(router())
+        bus = stack.enter_context(Bus(endpoint))
+        for service, arguments in (
+            ("ros_bridge", ()),
+            ("leeloo_sim", ("--ros",)),
+            ("executor", ("--strategy", "joint_pose")),
+        ):
+            process = ServiceProcess(service, endpoint, tmp_path, descriptor, arguments=arguments)
+            stack.enter_context(process).wait_ready(bus, KEYS)
+        robot = stack.enter_context(zarm.connect(endpoint))
+        with pytest.raises(zarm.ExecutionFailed, match="nobody serves /cell/vacuum"):
+            robot.outputs.set("vacuum", True)
+        with vacuum(node, asked, works=True):
+            assert robot.outputs.set("vacuum", True).on is True
+            assert robot.outputs.set("vacuum", False).on is False
+        with (
+            vacuum(node, asked, works=False),
+            pytest.raises(zarm.ExecutionFailed, match="/cell/vacuum refused: no air"),
+        ):
+            robot.outputs.set("vacuum", True)
+        assert robot.outputs.all()["vacuum"].on is False
+        assert asked == [True, False, True]
