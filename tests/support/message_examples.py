@@ -162,7 +162,7 @@ _PATH = m.PathGoal(
     kind="path",
     points=(
         m.PathPoint(position=(0.4, 0.0, 0.25), orientation=(0.0, 0.6, 0.0, 0.8)),
-        m.PathPoint(position=(0.4, 0.3, 0.25), blend=0.01),
+        m.PathPoint(position=(0.4, 0.3, 0.25), blend=0.01, via=(0.4, 0.2, 0.3), center=(0.4, 0.1, 0.25)),
     ),
     shape="spline",
     blend=0.02,

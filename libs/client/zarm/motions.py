@@ -188,23 +188,44 @@ class Arc(Checked, messages.ArcGoal):
         )
 
 
-class Path(Checked, messages.PathGoal):
-    """A path of the tip through poses or positions (m): `Path(a, b, c)`.
+class PathPoint(Checked, messages.PathPoint):
+    """A point of a `Path`: a `pose` or position (m), reached on an arc through `via` (m) or around `center` (m), left out: on a line. `blend`
+    (m) is that of its corner.
+    """
 
-    It consists of straight lines whose corners are left at most `blend` m before and after each point, by default 0.01; with 0 the
+    def __init__(
+        self,
+        pose: messages.Pose | Numbers,
+        *,
+        via: Numbers | None = None,
+        center: Numbers | None = None,
+        blend: float | None = None,
+    ) -> None:
+        super().__init__(
+            **_oriented(pose),
+            via=None if via is None else numbers(via, "via"),
+            center=None if center is None else numbers(center, "center"),
+            blend=blend,
+        )
+
+
+class Path(Checked, messages.PathGoal):
+    """A path of the tip through poses or positions (m): `Path(a, b, c)`; with a `PathPoint` also on arcs.
+
+    It consists of lines and arcs whose corners are left at most `blend` m before and after each point, by default 0.01; with 0 the
     tip comes to rest there. With `shape` `spline` it is a smooth curve. The other options are those of `Line`.
     """
 
     def __init__(
         self,
-        *points: messages.Pose | Numbers,
+        *points: messages.Pose | messages.PathPoint | Numbers,
         shape: Literal["polyline", "spline"] = "polyline",
         blend: float | None = None,
         **options: Unpack[_AlongCurve],
     ) -> None:
         super().__init__(
             kind="path",
-            points=tuple(made(messages.PathPoint, **_oriented(point)) for point in points),
+            points=tuple(point if isinstance(point, messages.PathPoint) else PathPoint(point) for point in points),
             shape=shape,
             blend=blend,
             **_along_curve(**options),

@@ -303,7 +303,9 @@ class Keys:
             recorded="value and changes",
         )
     )
-    output = Query("executor/output", OutputRequest, OutputState, "Switch an output on or off.", to="executor", by=DRIVES)
+    output = Query(
+        "executor/output", OutputRequest, OutputState, "Switch an output on or off.", to="executor", by=DRIVES
+    )
     output_state = Family(
         Latched(
             "executor/output/<name>/state",

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest, PlanningFailed, Problem, ZarmError, from_problem
 from zarm_contract.messages import (
+    ArcGoal,
     Attach,
     AttachObject,
     CartesianGoal,
@@ -40,6 +41,7 @@ from zarm_contract.messages import (
     TipFrame,
     Touch,
     Wait,
+    WaypointsGoal,
 )
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.frames import pose_of
@@ -65,6 +67,10 @@ CHANGE_S = 0.2
 """s for which the robot rests while something is attached or detached: the planner edits the scene meanwhile."""
 STOP_S = 0.5
 """s for which the robot rests where a gripper moves or an output is switched, besides the time that this takes: it is held within them."""
+_NEAR = 0.1, 0.5
+"""m and rad by which free motions that blend may leave out the pose between them, at most."""
+_PART = re.compile(r"goal\.(?:points|through)\.(\d+)\.?(.*)")
+"""A field of one of several motions that are planned as one."""
 _CANDIDATES = 16
 """Most configurations from which the curves after a motion are tried."""
 
@@ -161,7 +167,7 @@ def plan_program(
         try:
             match segment:
                 case Move(touch=touch):
-                    together, goal = blended_lines(segments[number:])
+                    together, goal = blended(segments[number:])
                     after = _curves_after(segments[number + len(together) :], segment.group)
                     group = Group.of(stage.robot, segment.group, goal)
                     done.groups = group.names if group is not None else ()
@@ -187,7 +193,7 @@ def plan_program(
                     output = _output(stage.robot, segment)
                     done.add(TimedTrajectory.standing(done.q, STOP_S), standing)
         except ZarmError as error:
-            failure = _of_segment(error, number, segment, blended=len(together) > 1)
+            failure = _of_segment(error, number, segment, together)
             if not partial or not whole.parts:
                 raise failure from error
             return PlannedProgram(
@@ -224,53 +230,66 @@ def _check_standing(context: PlanningContext, q: Array, grip: PlannedGrip) -> No
         )
 
 
-def blended_lines(segments: Sequence[Segment]) -> tuple[Sequence[Segment], Goal]:
-    """The first segments that are one motion, because each line blends into the next, and its goal.
+def blended(segments: Sequence[Segment]) -> tuple[Sequence[Segment], Goal]:
+    """The first segments that are one motion, because each blends into the next, and its goal.
 
     Raises InvalidRequest for a segment that blends into none.
     """
     first = segments[0]
-    lines: list[tuple[Move, LineGoal]] = []
-    for segment in segments:
-        if not isinstance(segment, Move) or not isinstance(segment.goal, LineGoal):
-            break
-        if lines and (_options(segment) != _options(lines[0][0]) or lines[-1][0].blend == 0.0):
-            break
-        lines.append((segment, segment.goal))
     if not isinstance(first, Move):
         raise TypeError("only moves blend")
-    last = lines[-1][0] if lines else first
-    if last.blend > 0.0:
+    together = [first]
+    for segment in segments[1:]:
+        if together[-1].blend == 0.0 or not isinstance(segment, Move) or _options(segment) != _options(first):
+            break
+        together.append(segment)
+    if together[-1].blend > 0.0:
         raise InvalidRequest(
-            "only a line blends, into a line of the next segment with the same options; set blend to 0, or use a path",
+            "a line or an arc blends into a line or an arc of the next segment with the same options, and a free motion into a free one; set "
+            "blend to 0",
             field="blend",
         )
-    if len(lines) < 2:
-        return (first,), first.goal
-    fields = first.goal.model_dump(include=ALONG_CURVE)
-    points = tuple(
-        PathPoint(position=line.position, orientation=line.orientation, blend=move.blend) for move, line in lines
-    )
-    return [move for move, _ in lines], PathGoal(kind="path", points=points, **fields)
+    if len(together) == 1:
+        return together, first.goal
+    if isinstance(first.goal, LineGoal | ArcGoal):
+        fields = first.goal.model_dump(include=ALONG_CURVE)
+        points = tuple(_point(move) for move in together)
+        return together, PathGoal(kind="path", points=points, **fields)
+    goals = tuple(move.goal for move in together if isinstance(move.goal, PoseGoal | JointGoal))
+    near = min(move.blend for move in together[:-1])
+    tolerances = {"position_tolerance": min(near, _NEAR[0]), "angle_tolerance": _NEAR[1]}
+    return together, WaypointsGoal(kind="waypoints", through=goals, **tolerances)
 
 
-def _options(segment: Move) -> tuple[object, tuple[str, ...], str | None]:
-    """What lines that blend have in common."""
-    return segment.goal.model_dump(include=ALONG_CURVE), segment.touch, segment.group
+def _point(move: Move) -> PathPoint:
+    """Where a line or an arc ends, as a point of a path."""
+    shared = move.goal.model_dump(include={"position", "orientation", "via", "center"})
+    return PathPoint(**shared, blend=move.blend)
+
+
+def _options(segment: Move) -> tuple[object, ...]:
+    """What motions that blend have in common; those that never blend have nothing in common with others."""
+    goal, own = segment.goal, (segment.touch, segment.group)
+    if isinstance(goal, LineGoal | ArcGoal):
+        return goal.model_dump(include=ALONG_CURVE), *own
+    free = isinstance(goal, JointGoal) or (isinstance(goal, PoseGoal) and not with_ways(goal))
+    return ("free" if free else id(segment), *own)
 
 
 def _passing_times(stage: Stage, done: _Progress, begin: float, together: Sequence[Segment]) -> list[float]:
-    """When (s) the tip is nearest to the end of each of these lines but the last."""
-    lines = [one.goal for one in together if isinstance(one, Move) and isinstance(one.goal, LineGoal)][:-1]
-    if not lines:
+    """When (s) the robot passes the ends of these motions but the last: where the tip is nearest to them, or passes a waypoint."""
+    if len(together) == 1:
         return []
+    if done.parts[-1].waypoint_times:
+        return [begin + time for time in done.parts[-1].waypoint_times[:-1]]
+    curves = [one.goal for one in together if isinstance(one, Move) and isinstance(one.goal, LineGoal | ArcGoal)][:-1]
     model, trajectory = stage.context((None, None)).model, done.motions[-1]
-    tip = lines[0].tip or TipFrame(link=stage.robot.tip_of(done.groups))
+    tip = curves[0].tip or TipFrame(link=stage.robot.tip_of(done.groups))
     joint, frame = tip_frame(model, tip, "goal.tip")
     tips = (model.fk_joint(joint, trajectory.position) @ frame)[:, :3, 3]
     times, at = [], 0
-    for line in lines:
-        at += int(np.argmin(np.linalg.norm(tips[at:] - line.position, axis=1)))
+    for curve in curves:
+        at += int(np.argmin(np.linalg.norm(tips[at:] - curve.position, axis=1)))
         times.append(begin + float(trajectory.time[at]))
     return times
 
@@ -445,13 +464,18 @@ def _whole(done: _Progress) -> Verified:
     )
 
 
-def _of_segment(error: ZarmError, number: int, segment: Segment, *, blended: bool) -> ZarmError:
-    """The error of a segment, which it names; lines that blend were planned as one path."""
+def _of_segment(error: ZarmError, number: int, segment: Segment, together: Sequence[Segment]) -> ZarmError:
+    """The error of a segment, which it names; those that blend were planned as one motion."""
     problem = error.problem
-    called = f"segment {number}" + (f", {segment.name}" if segment.name else "")
     where = problem.field
-    if blended and where is not None:
-        where = re.sub(r"^goal\.points\.\d+", "goal.position", where) if where != "goal.blend" else "blend"
+    if len(together) > 1 and where is not None:
+        if found := _PART.match(where):
+            offset = int(found[1])
+            number, segment = number + offset, together[offset]
+            where = f"goal.{found[2] or 'position'}"
+        elif where == "goal.blend":
+            where = "blend"
+    called = f"segment {number}" + (f", {segment.name}" if segment.name else "")
     at = f"segments.{number}" + (f".{where.removeprefix('edit.')}" if where and where != "start" else "")
     return from_problem(problem.model_copy(update={"message": f"{called}: {problem.message}", "field": at}))
 

@@ -11,6 +11,7 @@ from support.planner.second_opinion import link_pose
 from zarm_contract.errors import InvalidRequest, PlanningFailed
 from zarm_contract.messages import (
     AddObjects,
+    ArcGoal,
     Attach,
     AttachObject,
     Cuboid,
@@ -173,6 +174,54 @@ def test_lines_blend_into_each_other_without_stopping(handlers: Handlers) -> Non
     assert tip_at(plan, plan.segments[1].end)[:3, 3] == pytest.approx(at(0.0, 0.2, -0.15), abs=1e-5)
 
 
+def blending(goal: object, blend: float, name: str | None = None) -> Move:
+    return move(goal, name).model_copy(update={"blend": blend})
+
+
+def speeds_of_tip(plan: Plan, begin: float, end: float) -> np.ndarray:
+    """How fast (m/s) the tip is every 10 ms between two times."""
+    times = np.arange(begin, end, 0.01)
+    tips = np.array([tip_at(plan, time)[:3, 3] for time in times])
+    return np.asarray(np.linalg.norm(np.diff(tips, axis=0), axis=1) / 0.01)
+
+
+def test_line_blends_into_an_arc_and_an_arc_into_a_line(handlers: Handlers) -> None:
+    arc = ArcGoal(kind="arc", position=at(0.0, 0.1, -0.2), via=at(0.0, 0.2, -0.1))
+    plan, _ = planned(
+        handlers,
+        blending(line(0.0, 0.1, 0.0), 0.02, "seam"),
+        blending(arc, 0.02, "bend"),
+        move(line(0.0, -0.1, -0.2), "back"),
+    )
+    assert [segment.name for segment in plan.segments] == ["seam", "bend", "back"]
+    assert speeds_of_tip(plan, 0.3, plan.trajectory.duration - 0.3).min() > 0.02
+    middle = (plan.segments[1].begin + plan.segments[1].end) / 2
+    assert np.linalg.norm(tip_at(plan, middle)[:3, 3] - at(0.0, 0.1, -0.1)) == pytest.approx(0.1, abs=2e-4)
+    assert tip_at(plan, plan.trajectory.duration)[:3, 3] == pytest.approx(at(0.0, -0.1, -0.2), abs=1e-5)
+
+
+def test_free_motions_blend_past_the_goals_between_them(handlers: Handlers) -> None:
+    over = JointGoal(kind="joints", position=(0.5, *HOME[1:]))
+    plan, _ = planned(
+        handlers,
+        blending(over, 0.05, "over"),
+        blending(pose_goal(0.0, 0.3, -0.2), 0.05, "past"),
+        move(pose_goal(0.0, 0.0, -0.2), "there"),
+    )
+    assert [segment.name for segment in plan.segments] == ["over", "past", "there"]
+    assert speeds_of_tip(plan, 0.5, plan.trajectory.duration - 0.5).min() > 0.02
+    passed = tip_at(plan, plan.segments[1].end)[:3, 3]
+    assert np.linalg.norm(passed - at(0.0, 0.3, -0.2)) <= 0.05
+    assert tip_at(plan, plan.trajectory.duration)[:3, 3] == pytest.approx(at(0.0, 0.0, -0.2), abs=1e-5)
+
+
+def test_error_in_a_blend_names_its_own_segment(handlers: Handlers) -> None:
+    straight = ArcGoal(kind="arc", position=at(0.0, 0.3, 0.0), via=at(0.0, 0.2, 0.0))
+    with pytest.raises(InvalidRequest, match="segment 1, bend: the start, via and position lie on a line") as refused:
+        planned(handlers, blending(line(0.0, 0.1, 0.0), 0.02), move(straight, "bend"))
+    assert refused.value.problem.field == "segments.1.goal.via"
+
+
 def put(handlers: Handlers, *objects: Cuboid) -> None:
     handlers.edit(SceneEdit(edit=AddObjects(op="add", objects=objects)))
 
@@ -290,7 +339,7 @@ def test_carried_object_is_kept_from_obstacles(handlers: Handlers) -> None:
             ),
             InvalidRequest,
             "segments.0.blend",
-            "only a line blends",
+            "a line or an arc blends into",
         ),
         (
             lambda: (

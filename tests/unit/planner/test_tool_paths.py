@@ -194,6 +194,30 @@ def test_full_circle_begins_towards_via(side: float) -> None:
     keeps_limits(M1013, verified)
 
 
+@pytest.mark.parametrize("orienting", ["interpolated", "tangent"])
+def test_path_of_lines_and_arcs_keeps_to_them(orienting: Any) -> None:
+    begin = tip(M1013)
+    a = begin[:3, 3]
+    b, c, d, center = (a + shift for shift in ((0, 0.15, 0), (0, 0.25, -0.1), (0, 0.25, -0.2), (0, 0.15, -0.1)))
+    points = (
+        PathPoint(position=tuple(b)),
+        PathPoint(position=tuple(c), center=tuple(center)),
+        PathPoint(position=tuple(d)),
+    )
+    verified = planned(M1013, PathGoal(kind="path", points=points, blend=0.01, orienting=orienting))
+    _, joints = dense(verified, 0.005)
+    for pose in tip(M1013, joints):
+        x, y, z = pose[:3, 3] - a
+        on_arc = y > 0.15 and z > -0.1
+        off = abs(math.hypot(y - 0.15, z + 0.1) - 0.1) if on_arc else abs(z) if z > -0.1 else abs(y - 0.25)
+        at_corner = min(np.linalg.norm(pose[:3, 3] - corner) for corner in (b, c)) < 0.0105
+        assert abs(x) <= DISTANCE
+        assert off <= (0.001 if at_corner else DISTANCE)
+    turned = turned_by(begin[:3, :3], tip(M1013, joints[-1])[:3, :3])
+    assert turned == pytest.approx(math.pi / 2 if orienting == "tangent" else 0.0, abs=1e-3)
+    keeps_limits(M1013, verified)
+
+
 @pytest.mark.parametrize("blend", [None, 0.02, 0.0])
 def test_path_leaves_its_lines_only_in_the_corners(blend: float | None) -> None:
     begin = tip(M1013)
@@ -347,6 +371,15 @@ BEGIN = tip(M1013)
             ),
             "goal.via",
             "move via",
+        ),
+        (
+            PathGoal(
+                kind="path",
+                shape="spline",
+                points=(PathPoint(position=shifted(BEGIN, 0, 0.2, 0), via=shifted(BEGIN, 0, 0.1, 0.1)),),
+            ),
+            "goal.points.0",
+            "a spline has no arcs",
         ),
         (
             PathGoal(kind="path", points=points_of((0, 0.1, 0), (0, 0.1, 0))),

@@ -168,18 +168,20 @@ Blend = Annotated[float, Field(ge=0, le=10)]
 class PathPoint(Message):
     """A point of a path: `position` (m) in the base frame; without an `orientation` the tip keeps that of the point before.
 
-    `blend` (m) is that of this corner, in place of the path's.
+    With `via` or `center` (m) the tip moves to it on an arc, as with an `ArcGoal`. `blend` (m) is that of this corner, in place of the path's.
     """
 
     position: Vector3
     orientation: Quaternion | None = None
     blend: Blend | None = None
+    via: Vector3 | None = None
+    center: Vector3 | None = None
 
 
 class PathGoal(ToolPathGoal):
-    """Move the tip through `points`: on straight lines whose corners are rounded, or with `shape` `spline` on a smooth curve.
+    """Move the tip through `points`: on lines and arcs whose corners are rounded, or with `shape` `spline` on a smooth curve.
 
-    A corner is left at most `blend` (m) before and after its point, by default 0.01 m or 0.4 of the shorter line. With `blend` 0 the
+    A corner is left at most `blend` (m) before and after its point, by default 0.01 m or 0.4 of the shorter line or arc. With `blend` 0 the
     tip comes to rest there.
     """
 

@@ -17,8 +17,9 @@ from zarm_contract.messages.planner import Attempts, Margin, Timeout
 class Move(Message):
     """Move to a goal, or along a line, an arc or a path. `name` says in answers which segment it is.
 
-    The robot, or what it carries, may touch the objects named in `touch` on the way. A line with a `blend` (m) is left so far before its
-    end, without stopping, for the line of the next segment, which has the same options. `group` as in `PlanRequest`.
+    The robot, or what it carries, may touch the objects named in `touch` on the way. A line or an arc with a `blend` (m) is left so far
+    before its end, without stopping, for the line or arc of the next segment, which has the same options. A motion to joints or a pose with a
+    `blend` passes its goal within that distance, without stopping, on the way to those of the next segment. `group` as in `PlanRequest`.
     """
 
     kind: Literal["move"]

@@ -14,10 +14,11 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import ArcGoal, CartesianGoal, LineGoal, PathGoal, Quaternion
+from zarm_contract.messages import ArcGoal, CartesianGoal, LineGoal, PathGoal, PathPoint, Quaternion
 from zarm_geometry.frames import rotated_by, rotation
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.signedinteger]
 
 _SAME = 1e-6
 """m and rad: points that are nearer to each other than this are one."""
@@ -161,7 +162,7 @@ def _arc(goal: ArcGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str) 
     return ToolCurve(at, (0.0, extent), _stations(extent, length, max(angle, sweep)), *_values(speeds))
 
 
-def _around(goal: ArcGoal, a: Array, b: Array, field: str) -> tuple[Array, Array, float]:
+def _around(goal: ArcGoal | PathPoint, a: Array, b: Array, field: str) -> tuple[Array, Array, float]:
     """The centre (3,), the unit normal (3,) and the angle (rad) of an arc from `a` to `b` (3,)."""
     if float(np.linalg.norm(b - a)) < _SAME:
         return _full_circle(goal, a, field)
@@ -197,7 +198,7 @@ def _around(goal: ArcGoal, a: Array, b: Array, field: str) -> tuple[Array, Array
     return center, normal, _angle(p, q, normal)
 
 
-def _full_circle(goal: ArcGoal, a: Array, field: str) -> tuple[Array, Array, float]:
+def _full_circle(goal: ArcGoal | PathPoint, a: Array, field: str) -> tuple[Array, Array, float]:
     """The centre (3,), the unit normal (3,) and the angle (rad) of a circle from `a` (3,) by `via` back to it."""
     if goal.via is None or goal.center is None:
         raise InvalidRequest(
@@ -235,15 +236,24 @@ def _angle(p: Array, q: Array, normal: Array) -> float:
 
 def _path(goal: PathGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str) -> ToolCurve:
     points, oriented, names, blends = [a], [begin], ["start"], [goal.blend]
+    ways: list[PathPoint] = []
     for number, point in enumerate(goal.points):
         there = np.array(point.position)
         turned = _oriented(goal, oriented[-1], point.orientation)
+        curved = point.via is not None or point.center is not None
+        if curved and goal.shape == "spline":
+            raise InvalidRequest(
+                "a spline has no arcs; leave via and center out, or choose the shape polyline",
+                field=f"{field}.points.{number}",
+            )
         near = np.linalg.norm(there - points[-1]) < _SAME and (oriented[-1].inv() * turned).magnitude() < _SAME
+        near = near and not curved  # a circle ends where it starts
         if near and number == 0:  # a path that names its start
             continue
         if near:
             raise InvalidRequest("this point is the one before it; leave it out", field=f"{field}.points.{number}")
         points.append(there)
+        ways.append(point)
         oriented.append(turned)
         names.append(f"points.{number}")
         blends.append(goal.blend if point.blend is None else point.blend)
@@ -252,7 +262,7 @@ def _path(goal: PathGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str
     if goal.shape == "spline":
         return _spline(goal, np.array(points), oriented, speeds)
     corners = _Corners(np.array(points), blends, [f"{field}.{name}" for name in names], field)
-    return _polyline(goal, corners, oriented, speeds)
+    return _polyline(goal, corners, _Ways.of(corners, ways), oriented, speeds)
 
 
 def _spline(goal: PathGoal, points: Array, oriented: Sequence[Rotation], speeds: _Speeds) -> ToolCurve:
@@ -279,8 +289,7 @@ def _spline(goal: PathGoal, points: Array, oriented: Sequence[Rotation], speeds:
 
 def _transported(begin: Rotation, tangents: Array) -> Rotation:
     """The orientation `begin` carried along tangents (n, 3), each time by the smallest rotation between them."""
-    along = tangents / np.linalg.norm(tangents, axis=1, keepdims=True)
-    steps = _smallest_turns(along)
+    steps = _smallest_turns(_unit(tangents))
     turned = [begin]
     for step in steps:
         turned.append(step * turned[-1])
@@ -305,53 +314,105 @@ class _Corners:
     field: str
 
 
-def _polyline(goal: PathGoal, corners: _Corners, oriented: Sequence[Rotation], speeds: _Speeds) -> ToolCurve:
-    points = corners.points
-    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+@dataclass(frozen=True)
+class _Ways:
+    """The lines and arcs (n) between the points of a path.
+
+    Over a share `u` of one, the tip moves by `u * along + (cos(u * sweep) - 1) * x + sin(u * sweep) * y`, all (n, 3), about `normal`; `along`
+    is 0 for an arc, and the others for a line.
+    """
+
+    along: Array
+    x: Array
+    y: Array
+    normal: Array
+    sweep: Array
+
+    @classmethod
+    def of(cls, corners: _Corners, points: Sequence[PathPoint]) -> _Ways:
+        """Those that lead to each of these points. Raises InvalidRequest for an arc that is none."""
+        along = np.diff(corners.points, axis=0)
+        sweep = np.zeros(len(along))
+        x, y, normal = (np.zeros((len(along), 3)) for _ in range(3))
+        for i, (point, name) in enumerate(zip(points, corners.names[1:], strict=True)):
+            if point.via is not None or point.center is not None:
+                center, normal[i], sweep[i] = _around(point, corners.points[i], corners.points[i + 1], name)
+                along[i] = 0.0
+                x[i] = corners.points[i] - center
+                y[i] = np.cross(normal[i], x[i])
+        return cls(along, x, y, normal, sweep)
+
+    @property
+    def lengths(self) -> Array:
+        """Their lengths (n,) in m."""
+        return np.asarray(np.linalg.norm(self.along, axis=1) + self.sweep * np.linalg.norm(self.x, axis=1))
+
+    def moved(self, i: Indices, share: Array) -> Array:
+        """How far (m, 3) the tip has moved over shares (m,) of the ways `i` (m,)."""
+        angle = (share * self.sweep[i])[:, None]
+        return np.asarray(
+            share[:, None] * self.along[i] + (np.cos(angle) - 1.0) * self.x[i] + np.sin(angle) * self.y[i]
+        )
+
+    def rate(self, share: float) -> Array:
+        """The derivatives (n, 3) of that by the share."""
+        angle = (share * self.sweep)[:, None]
+        return np.asarray(self.along + self.sweep[:, None] * (np.cos(angle) * self.y - np.sin(angle) * self.x))
+
+
+def _polyline(
+    goal: PathGoal, corners: _Corners, ways: _Ways, oriented: Sequence[Rotation], speeds: _Speeds
+) -> ToolCurve:
+    points, lengths = corners.points, ways.lengths
     if goal.orienting == "tangent":
-        from_turns, vectors = _along_lines(corners, lengths, oriented[0]), np.zeros((len(lengths), 3))
+        from_turns, vectors = _along_ways(corners, ways, oriented[0])
     else:
         from_turns = Rotation.concatenate(oriented[:-1])
         vectors = (from_turns.inv() * Rotation.concatenate(oriented[1:])).as_rotvec()
     angles = np.linalg.norm(vectors, axis=1)
     steps = np.array([speeds.extent(length, angle) for length, angle in zip(lengths, angles, strict=True)])
     knots = np.insert(np.cumsum(steps), 0, 0.0)
-    half = _rounding(corners, lengths, steps)
+    half = _rounding(corners, ways, steps)
     matrices = from_turns.as_matrix()
-    rate = np.diff(points, axis=0) / steps[:, None]
     spin = vectors / steps[:, None]
 
     ends = matrices @ rotated_by(vectors)
-    aside = np.zeros((len(points), 3))  # what the tip turns at each corner besides what its lines turn it
+    aside = np.zeros((len(points), 3))  # what the tip turns at each corner besides what its ways turn it
     aside[1:-1] = Rotation.from_matrix(ends[:-1].transpose(0, 2, 1) @ matrices[1:]).as_rotvec()
 
     def at(u: Array) -> tuple[Array, Array]:
         number = np.clip(np.searchsorted(knots, u, side="right") - 1, 0, len(steps) - 1)
-        past = (u - knots[number])[:, None]
-        position, turned = points[number] + past * rate[number], matrices[number] @ rotated_by(past * spin[number])
-        corner = number + (past[:, 0] > steps[number] / 2.0)  # the nearer end of the line
+        past = u - knots[number]
+        position = np.asarray(points[number] + ways.moved(number, past / steps[number]))
+        turned = matrices[number] @ rotated_by(past[:, None] * spin[number])
+        corner = number + (past > steps[number] / 2.0)  # the nearer end of the way
         rounded = np.flatnonzero(np.abs(u - knots[corner]) < half[corner])
         if len(rounded):
             c = corner[rounded]
             x = (u[rounded] - knots[c]) / half[c] / 2.0 + 0.5
-            before, after = ((2.0 * half[c] * _ramp(each))[:, None] for each in (1.0 - x, x))
-            position[rounded] = points[c] - before * rate[c - 1] + after * rate[c]
+            before, after = (2.0 * half[c] * _ramp(each) for each in (1.0 - x, x))
+            to_corner = ways.moved(c - 1, np.ones(len(c))) - ways.moved(c - 1, 1.0 - before / steps[c - 1])
+            position[rounded] = points[c] - to_corner + ways.moved(c, after / steps[c])
             share = (x**3 * (10.0 + x * (6.0 * x - 15.0)))[:, None]
             turned[rounded] = (
                 ends[c - 1]
-                @ rotated_by(-before * spin[c - 1])
+                @ rotated_by(-before[:, None] * spin[c - 1])
                 @ rotated_by(share * aside[c])
-                @ rotated_by(after * spin[c])
+                @ rotated_by(after[:, None] * spin[c])
             )
         return position, turned
 
+    arriving, leaving = ways.rate(1.0) / steps[:, None], ways.rate(0.0) / steps[:, None]
+    bends = np.maximum(angles, ways.sweep)
     rests = [0.0, *knots[1:-1][half[1:-1] <= 0.0].tolist(), float(knots[-1])]
     edges, counts = [0.0], []
-    for i, (length, angle) in enumerate(zip(lengths.tolist(), angles.tolist(), strict=True)):
+    for i, (length, angle) in enumerate(zip(lengths.tolist(), bends.tolist(), strict=True)):
         inner = knots[i] + half[i], knots[i + 1] - half[i + 1]
         if half[i] > 0.0:
             edges.append(inner[0])
-            counts.append(_corner_intervals(half[i] * rate[i - 1 : i + 1], spin[i - 1 : i + 1] * half[i]))
+            legs = half[i] * np.array((arriving[i - 1], leaving[i]))
+            curved = half[i] * float((ways.sweep[i - 1 : i + 1] / steps[i - 1 : i + 1]).sum())
+            counts.append(max(_corner_intervals(legs, spin[i - 1 : i + 1] * half[i]), math.ceil(curved / _SPACING[1])))
         straight = max((inner[1] - inner[0]) / steps[i], 0.0)
         if straight > 1e-9:
             few = _FEWEST if len(steps) == 1 else 1 if straight * length < _CORNER_ERROR[2] else 2
@@ -377,23 +438,38 @@ def _corner_intervals(legs: Array, turns: Array) -> int:
     return int(np.clip(math.ceil(max(bend[0] / _CORNER_ERROR[0], bend[1] / _CORNER_ERROR[1])), 2, _CORNER))
 
 
-def _along_lines(corners: _Corners, lengths: Array, begin: Rotation) -> Rotation:
-    """The orientation on each line of a polyline that turns with it. Raises InvalidRequest if the tip would have to turn
-    on the spot.
+def _along_ways(corners: _Corners, ways: _Ways, begin: Rotation) -> tuple[Rotation, Array]:
+    """The orientation with which the tip begins each way and turns with it, and by what rotation vectors (n, 3) it turns on it.
+
+    Raises InvalidRequest if the tip would have to turn on the spot.
     """
+    lengths = ways.lengths
     if len(lengths) > 1 and (0.0 in corners.blends[1:-1] or lengths.min() < _SAME):
         raise InvalidRequest(
             "with the tangent the tip would turn on the spot at a corner; allow a blend", field=f"{corners.field}.blend"
         )
-    return _transported(begin, np.diff(corners.points, axis=0))
+    leaving, arriving = (_unit(ways.rate(share)) for share in (0.0, 1.0))
+    turned, vectors = [begin], []
+    for i in range(len(lengths)):
+        vectors.append(turned[i].inv().apply(ways.sweep[i] * ways.normal[i]))
+        if i + 1 < len(lengths):
+            corner = _smallest_turns(np.array((arriving[i], leaving[i + 1])))[0]
+            turned.append(corner * turned[i] * Rotation.from_rotvec(vectors[i]))
+    return Rotation.concatenate(turned), np.array(vectors)
 
 
-def _rounding(corners: _Corners, lengths: Array, steps: Array) -> Array:
+def _unit(vectors: Array) -> Array:
+    """Vectors (n, 3) of length 1."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def _rounding(corners: _Corners, ways: _Ways, steps: Array) -> Array:
     """How far (n,) before and after each point its corner is rounded, in the curve's parameter; 0 at both ends.
 
     Raises InvalidRequest that names the point.
     """
-    points, half = corners.points, np.zeros(len(corners.points))
+    points, half, lengths = corners.points, np.zeros(len(corners.points)), ways.lengths
+    leaving, arriving = ways.rate(0.0), ways.rate(1.0)
     for i in range(1, len(points) - 1):
         before, after, blend = lengths[i - 1], lengths[i], corners.blends[i]
         if min(before, after) < _SAME:  # the tip turns on the spot
@@ -402,7 +478,7 @@ def _rounding(corners: _Corners, lengths: Array, steps: Array) -> Array:
         distance = min(_BLEND[0], _BLEND[1] * min(before, after)) if blend is None else blend
         if distance == 0.0:
             continue
-        cosine = float((points[i] - points[i - 1]) @ (points[i + 1] - points[i])) / (before * after)
+        cosine = float(arriving[i - 1] @ leaving[i]) / (before * after)
         if cosine < _BACK:
             raise InvalidRequest(
                 "the path doubles back here; set blend to 0, so that the tip comes to rest, or end the path here",

@@ -183,11 +183,11 @@ class MotionPlanRequests:
         raise PlanningFailed("the curve leaves the path constraints; widen them", field="path_constraints")
 
     def _blends(self, i: int, items: Sequence[Any]) -> bool:
-        """Whether an item is blended into the next: both are lines, moved along in the same way."""
+        """Whether an item is blended into the next: both are lines or arcs, moved along in the same way."""
         if i + 1 >= len(items):
             return False
         one, other = items[i].req, items[i + 1].req
-        lines = all(along(item.pipeline_id, item.planner_id) == "LIN" for item in (one, other))
+        curves = all(along(item.pipeline_id, item.planner_id) in ("LIN", "CIRC") for item in (one, other))
         same = (
             "group_name",
             "max_velocity_scaling_factor",
@@ -195,7 +195,7 @@ class MotionPlanRequests:
             "max_cartesian_speed",
             "cartesian_speed_limited_link",
         )
-        return lines and all(getattr(one, name, None) == getattr(other, name, None) for name in same)
+        return curves and all(getattr(one, name, None) == getattr(other, name, None) for name in same)
 
     def _goals(self, request: Any, begin: Positions, group: ArmGroup) -> list[Goal]:
         if not request.goal_constraints:
