@@ -75,7 +75,7 @@ def test_program_switches_outputs_at_rest_where_it_says(tmp_path: Path) -> None:
                 zarm.SetOutput("torch", False),
             ]
         )
-        assert [segment.action for segment in plan.segments] == ["move", "output", "move", "output"]
+        assert [segment.action for segment in plan.segments] == ["move", "set_output", "move", "set_output"]
         assert robot.execute(plan).status == "succeeded"
         assert [command[1:] for command in commands] == [("torch", True), ("torch", False)]
         for (at, *_), target in zip(commands, (AWAY, HOME), strict=True):

@@ -121,7 +121,7 @@ _SEGMENTS = (
     m.Wait(kind="wait", duration=0.5, name="settle"),
     m.SpeedChange(kind="speed", velocity_scale=0.5, acceleration_scale=0.25, name="slow"),
     m.Grip(kind="grip", width=0.04),
-    m.SetOutput(kind="output", output="vacuum", on=True, name="hold"),
+    m.SetOutput(kind="set_output", output="vacuum", on=True, name="hold"),
     m.Detach(kind="detach", object="part", name="drop"),
 )
 _PROGRAM = m.ProgramRequest(
@@ -552,7 +552,7 @@ EXAMPLES: tuple[Message, ...] = (
     ),
     _OUTPUT,
     m.OutputState(output="vacuum", on=True, problem=_PROBLEM),
-    m.SetOutput(kind="output", output="vacuum", on=True, name="hold"),
+    m.SetOutput(kind="set_output", output="vacuum", on=True, name="hold"),
     m.DriverOutputCommand(output="vacuum", sequence=7, on=True),
     m.DriverOutputState(output="vacuum", sequence=7, problem="the valve has no power"),
     m.DriverProgress(sequence=7, fraction=0.5, problem="the controller is inactive"),

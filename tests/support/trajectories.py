@@ -67,7 +67,7 @@ def curved_path(seed: int, samples: int = 200) -> TimedTrajectory:
         curves.append(start + random.uniform(-1.0, 1.0) * line + bell * wave)
     grid = np.linspace(0.0, 1.0, samples)
     position, velocity, acceleration = (
-        np.array([curve.deriv(order)(grid) if order else curve(grid) for curve in curves]).T for order in range(3)
+        np.stack([curve.deriv(order)(grid) if order else curve(grid) for curve in curves], axis=1) for order in range(3)
     )
     duration = float(np.sqrt(np.max(np.abs(acceleration) / ROBOT.descriptor.cspace.acceleration)))
     return TimedTrajectory(grid * duration, position, velocity / duration, acceleration / duration**2)

@@ -327,7 +327,7 @@ class SetOutput(Checked, messages.SetOutput):
     """A segment of a program: switch `output` `on` or off, and go on when its driver has done so."""
 
     def __init__(self, output: str, on: bool, *, name: str | None = None) -> None:
-        super().__init__(kind="output", output=output, on=on, name=name)
+        super().__init__(kind="set_output", output=output, on=on, name=name)
 
 
 OneGoal: TypeAlias = "messages.Pose | messages.PoseGoal | Numbers"

@@ -153,7 +153,7 @@ class ExactScene:
         """
         if not len(q):
             return np.empty((0, 5))
-        motion = search(self._body, q, asked)
+        motion = search(self._body, np.ascontiguousarray(q), asked)
         found, smallest = begin(
             self._body, self.model.cover, self._obstacles, self.world.arrays.shapes, motion, asked, within
         )

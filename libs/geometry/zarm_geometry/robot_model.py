@@ -426,7 +426,7 @@ class RobotModel:
             raise InvalidRequest(f"a joint vector of {self.robot.descriptor.name} has {self.dof} values")
         flat = joints.reshape(-1, self.dof)
         out = np.empty((len(flat), len(joint), 4, 4))
-        frames(self.tree.table, self.origin, joint, offset, flat, out)
+        frames(self.tree.table, self.origin, joint, np.ascontiguousarray(offset), flat, out)
         return out.reshape(*joints.shape[:-1], len(joint), 4, 4)
 
 

@@ -59,5 +59,5 @@ class OutputDriver:
     def _report(self, sequence: int, problem: str | None) -> None:
         if problem is not None:
             log.warning("the output was not switched output=%s reason=%s", self._name, problem)
-        told = None if problem is None else shortened(problem)
-        self._states.put(DriverOutputState(output=self._name, sequence=sequence, problem=told))
+            problem = shortened(problem)
+        self._states.put(DriverOutputState(output=self._name, sequence=sequence, problem=problem))

@@ -16,6 +16,7 @@ from zarm_contract.messages import ExecuteRequest, GoalState, JointState, Nothin
 from zarm_executor.admission import Admission
 from zarm_executor.executor import Executor
 from zarm_executor.grippers import Grippers
+from zarm_executor.outputs import Outputs
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
 from zarm_executor.scene import PresentScene
@@ -51,6 +52,7 @@ def executor_of(bench: Bench, bus: Bus, folder: Path, scene: Callable[[], SceneE
         bus.publisher(KEYS.speed),
         StateFile(folder / "speed.json", Speed),
         Grippers(ROBOT, bench.machine, bus, KEYS, StateFile(folder / "grippers.json", JointState)),
+        Outputs(ROBOT, "emulator", bus, KEYS),
     )
 
 

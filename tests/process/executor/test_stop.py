@@ -17,6 +17,7 @@ from zarm_contract.messages import ExecuteRequest, GoalState, JointState, Nothin
 from zarm_executor.admission import Admission
 from zarm_executor.executor import Executor
 from zarm_executor.grippers import Grippers
+from zarm_executor.outputs import Outputs
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
 from zarm_executor.scene import PresentScene
@@ -61,6 +62,7 @@ def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus:
         bus.publisher(KEYS.speed),
         StateFile(tmp_path / "speed.json", Speed),
         Grippers(ROBOT, bench.machine, bus, KEYS, StateFile(tmp_path / "grippers.json", JointState)),
+        Outputs(ROBOT, "emulator", bus, KEYS),
     )
     with ThreadPoolExecutor(1) as pool:
         first = pool.submit(executor.execute, ExecuteRequest(), arrival())

@@ -16,7 +16,7 @@ def _points(kind: str, count: int) -> NDArray[np.float64]:
         return np.zeros((count, 3))
     if kind == "grid":
         side = int(np.ceil(count ** (1 / 3)))
-        return np.argwhere(np.ones((side, side, side)))[:count].astype(float)
+        return np.argwhere(np.ones((side, side, side)))[:count].astype(float, order="C")
     return np.random.default_rng(count).normal(size=(count, 3))
 
 

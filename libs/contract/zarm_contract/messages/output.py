@@ -29,7 +29,7 @@ class OutputState(ShortMessage):
 class SetOutput(Message):
     """In a program: switch `output` `on` or off at rest, and go on when its driver has done so. If it does not, the goal ends."""
 
-    kind: Literal["output"]
+    kind: Literal["set_output"]
     output: Name
     on: bool
     name: Name | None = None

@@ -148,7 +148,7 @@ class PlannedSegment(Message):
     beginning. With `grip` a gripper moves, with `output` one is switched, and the robot waits for it.
     """
 
-    action: Literal["move", "wait", "speed", "attach", "detach", "grip", "output"]
+    action: Literal["move", "wait", "speed", "attach", "detach", "grip", "set_output"]
     name: Name | None = None
     begin: NonNegative
     end: NonNegative
