@@ -22,6 +22,7 @@ from zarm_contract import messages as every_message
 from zarm_contract.camera import DescribedCamera
 from zarm_contract.collision import CollisionCapsule, CollisionCuboid, CollisionCylinder, CollisionSphere
 from zarm_contract.descriptor import CSpace, ExecutionSettings, RobotDescriptor, StrategyParams, ToolSpeeds
+from zarm_contract.digital_output import DigitalOutput
 from zarm_contract.errors import MEANINGS, Problem, ZarmError
 from zarm_contract.gripper import Gripper
 from zarm_contract.group import JointGroup
@@ -37,6 +38,7 @@ from zarm_contract.messages import (
     goals,
     gripper,
     motion,
+    output,
     perception,
     physics,
     planner,
@@ -127,6 +129,7 @@ def messages() -> Iterator[str]:
         "The scene": scene,
         "Execution": executor,
         "Grippers": gripper,
+        "Outputs": output,
         "Perception": perception,
         "Physics": physics,
         "The servo": servo,
@@ -176,6 +179,7 @@ _SECTIONS = {
     "ExecutionSettings": "execution",
     "StrategyParams": "strategy_params",
     "Gripper": "gripper",
+    "DigitalOutput": "output",
     "DescribedCamera": "camera",
     "JointGroup": "group",
     "CollisionSphere": "collision sphere",
@@ -369,6 +373,7 @@ def robot() -> Iterator[str]:
         CollisionCylinder,
         CollisionCuboid,
         Gripper,
+        DigitalOutput,
         JointGroup,
         DescribedCamera,
     )
