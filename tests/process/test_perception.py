@@ -29,65 +29,12 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-@pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
-    with cell_of(tmp_path_factory.mktemp("cell")) as cell:
-        yield cell
-
-
-@pytest.fixture
-def cell(shared: Cell) -> Cell:
-    """One for tests that end no process, with the robot at home, without cameras and an empty map."""
-    for one in shared.robot.perception.state().cameras:
-        shared.robot.perception.remove(one.name)
-    shared.robot.perception.clear()
-    eventually(lambda: len(shared.points) == 0 and planned(shared), "the map is empty")
-    shared.robot.execute(shared.robot.plan(UR5E.descriptor.home))
-    return shared
-
-
 def planned(cell: Cell) -> bool:
     """Whether a motion is planned."""
     try:
         return bool(cell.robot.plan(BACK, start=THERE))
     except zarm.Unavailable:
         return False
-
-
-def test_what_cameras_see_is_avoided_and_the_robot_is_not_in_its_own_way(cell: Cell) -> None:
-    cell.world(FLOOR, POST)
-    state = cell.look(FRONT, SIDE)
-    assert not state.stale
-    assert all(one.robot > 0.005 for one in state.cameras)
-    assert {*cell.robot.perception.points()} == {*map(tuple, cell.points.tolist())}
-    off = rows.distances(cell.points, rows.primitives([FLOOR, POST])).min(axis=1)
-    assert off.max() < 0.02, "nothing is seen that is not there"
-    for goal in (BACK, THERE, BACK):
-        plan = cell.robot.plan(goal)
-        assert plan.clearance > 0.0
-        cell.robot.execute(plan)
-        touched = cell.robot.simulation.state().contacts
-        assert not [one for one in touched if {one.first, one.second} & {*UR5E.descriptor.collision}]
-    cell.images(3)
-    joints = np.array(cell.robot.joint_state().position)
-    robot = RobotShapes(MODEL).at(joints).parts
-    assert rows.distances(cell.points, robot).min() > 0.01, "its own motion has left nothing in the map"
-
-
-def test_a_motion_stops_for_what_comes_in_and_goes_on_when_it_has_gone(cell: Cell) -> None:
-    cell.world(FLOOR)
-    cell.look(FRONT, SIDE)
-    cell.robot.execute(cell.robot.plan(BACK))
-    goal = cell.robot.start(cell.robot.plan(THERE, velocity_scale=0.15))
-    cell.world(FLOOR, POST)
-    held = next(state.hold for state in cell.robot.goal_states(goal) if state.hold is not None)
-    assert held.obstruction is not None
-    assert held.obstruction.object.startswith("map.")
-    cell.world(FLOOR)
-    assert cell.robot.follow(goal).done
-    assert cell.robot.joint_state().position == pytest.approx(THERE, abs=0.02)
-    touched = {name for one in cell.robot.simulation.state().contacts for name in (one.first, one.second)}
-    assert not touched & {*UR5E.descriptor.collision}
 
 
 def test_a_camera_that_does_not_see_is_said_and_the_map_stays(tmp_path: Path) -> None:
@@ -169,6 +116,86 @@ def test_a_perception_that_begins_again_frees_what_has_gone_meanwhile(tmp_path: 
         eventually(lambda: at_the_post() == 0, "the blocks of a map with another box are forgotten")
 
 
+BLOCKS = {"block_0": (0.04, 0.04, 0.04), "block_1": (0.04, 0.07, 0.05), "block_2": (0.05, 0.04, 0.04), "block_3": (0.04, 0.04, 0.06)}  # fmt: skip
+LONGEST = 300.0
+
+
+@pytest.mark.timeout(LONGEST + 60.0)
+def test_the_example_picks_what_a_camera_sees_and_puts_it_into_the_tray(tmp_path: Path) -> None:
+    fine = ("--box=0.2,-0.5,0.015,0.8,0.6,0.6", "--resolution", "0.01")
+    with cell_of(tmp_path, "panda", "blocks", fine) as cell:
+        seen = camera("front", (1.1, -0.25, 0.75), (0.45, 0.0, 0.0))
+        cell.robot.perception.add(seen.model_copy(update={"fx": 320.0, "fy": 320.0}))
+        cell.robot.perception.look()
+        bodies = {body.name: body for body in cell.robot.simulation.state().bodies}
+        boxes = cell.robot.perception.boxes(floor=0.0)
+        assert len(boxes) == len(BLOCKS)
+        for name, size in BLOCKS.items():
+            box = min(boxes, key=lambda one: np.hypot(*np.subtract(one.position, bodies[name].position)[:2]))
+            assert box.position == pytest.approx(bodies[name].position, abs=0.01)
+            assert sorted(box.size) == pytest.approx(sorted(size), abs=0.025)
+        cell.robot.perception.remove("front")
+        said = run_example("16_pick_what_a_camera_sees", cell.endpoint, LONGEST)
+        assert said.startswith("the camera sees 4 blocks\n")
+        for body in cell.robot.simulation.state().bodies:
+            assert 0.3 < body.position[0] < 0.6
+            assert 0.18 < body.position[1] < 0.48
+            assert 0.025 < body.position[2] < 0.045, "it stands in the tray"
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    with cell_of(tmp_path_factory.mktemp("cell")) as cell:
+        yield cell
+
+
+@pytest.fixture
+def cell(shared: Cell) -> Cell:
+    """One for tests that end no process, with the robot at home, without cameras and an empty map."""
+    for one in shared.robot.perception.state().cameras:
+        shared.robot.perception.remove(one.name)
+    shared.robot.perception.clear()
+    eventually(lambda: len(shared.points) == 0 and planned(shared), "the map is empty")
+    shared.robot.execute(shared.robot.plan(UR5E.descriptor.home))
+    return shared
+
+
+def test_what_cameras_see_is_avoided_and_the_robot_is_not_in_its_own_way(cell: Cell) -> None:
+    cell.world(FLOOR, POST)
+    state = cell.look(FRONT, SIDE)
+    assert not state.stale
+    assert all(one.robot > 0.005 for one in state.cameras)
+    assert {*cell.robot.perception.points()} == {*map(tuple, cell.points.tolist())}
+    off = rows.distances(cell.points, rows.primitives([FLOOR, POST])).min(axis=1)
+    assert off.max() < 0.02, "nothing is seen that is not there"
+    for goal in (BACK, THERE, BACK):
+        plan = cell.robot.plan(goal)
+        assert plan.clearance > 0.0
+        cell.robot.execute(plan)
+        touched = cell.robot.simulation.state().contacts
+        assert not [one for one in touched if {one.first, one.second} & {*UR5E.descriptor.collision}]
+    cell.images(3)
+    joints = np.array(cell.robot.joint_state().position)
+    robot = RobotShapes(MODEL).at(joints).parts
+    assert rows.distances(cell.points, robot).min() > 0.01, "its own motion has left nothing in the map"
+
+
+def test_a_motion_stops_for_what_comes_in_and_goes_on_when_it_has_gone(cell: Cell) -> None:
+    cell.world(FLOOR)
+    cell.look(FRONT, SIDE)
+    cell.robot.execute(cell.robot.plan(BACK))
+    goal = cell.robot.start(cell.robot.plan(THERE, velocity_scale=0.15))
+    cell.world(FLOOR, POST)
+    held = next(state.hold for state in cell.robot.goal_states(goal) if state.hold is not None)
+    assert held.obstruction is not None
+    assert held.obstruction.object.startswith("map.")
+    cell.world(FLOOR)
+    assert cell.robot.follow(goal).done
+    assert cell.robot.joint_state().position == pytest.approx(THERE, abs=0.02)
+    touched = {name for one in cell.robot.simulation.state().contacts for name in (one.first, one.second)}
+    assert not touched & {*UR5E.descriptor.collision}
+
+
 def test_a_camera_on_the_wrist_sees_the_same_world_from_everywhere(cell: Cell) -> None:
     low = Cuboid(kind="cuboid", name="low", position=(0.5, 0.1, -0.22), size=(0.15, 0.15, 0.14))
     cell.world(FLOOR, low)
@@ -207,30 +234,3 @@ def test_a_lidar_makes_the_same_map_which_is_saved_and_loaded(cell: Cell, tmp_pa
     with pytest.raises(zarm.InvalidRequest, match="is no saved map"):
         cell.robot.perception.load(tmp_path / "another.map")
     assert (rows.distances(np.array([*before]), rows.primitives([POST]))[:, 0] < 0.02).sum() > 20
-
-
-BLOCKS = {"block_0": (0.04, 0.04, 0.04), "block_1": (0.04, 0.07, 0.05), "block_2": (0.05, 0.04, 0.04), "block_3": (0.04, 0.04, 0.06)}  # fmt: skip
-LONGEST = 300.0
-
-
-@pytest.mark.timeout(LONGEST + 60.0)
-def test_the_example_picks_what_a_camera_sees_and_puts_it_into_the_tray(tmp_path: Path) -> None:
-    fine = ("--box=0.2,-0.5,0.015,0.8,0.6,0.6", "--resolution", "0.01")
-    with cell_of(tmp_path, "panda", "blocks", fine) as cell:
-        seen = camera("front", (1.1, -0.25, 0.75), (0.45, 0.0, 0.0))
-        cell.robot.perception.add(seen.model_copy(update={"fx": 320.0, "fy": 320.0}))
-        cell.robot.perception.look()
-        bodies = {body.name: body for body in cell.robot.simulation.state().bodies}
-        boxes = cell.robot.perception.boxes(floor=0.0)
-        assert len(boxes) == len(BLOCKS)
-        for name, size in BLOCKS.items():
-            box = min(boxes, key=lambda one: np.hypot(*np.subtract(one.position, bodies[name].position)[:2]))
-            assert box.position == pytest.approx(bodies[name].position, abs=0.01)
-            assert sorted(box.size) == pytest.approx(sorted(size), abs=0.025)
-        cell.robot.perception.remove("front")
-        said = run_example("16_pick_what_a_camera_sees", cell.endpoint, LONGEST)
-        assert said.startswith("the camera sees 4 blocks\n")
-        for body in cell.robot.simulation.state().bodies:
-            assert 0.3 < body.position[0] < 0.6
-            assert 0.18 < body.position[1] < 0.48
-            assert 0.025 < body.position[2] < 0.045, "it stands in the tray"
