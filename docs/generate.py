@@ -21,7 +21,7 @@ from zarm_cli.commands import command_line
 from zarm_contract import messages as every_message
 from zarm_contract.camera import DescribedCamera
 from zarm_contract.collision import CollisionCapsule, CollisionCuboid, CollisionCylinder, CollisionSphere
-from zarm_contract.descriptor import CSpace, ExecutionSettings, RobotDescriptor, StrategyParams, ToolSpeeds
+from zarm_contract.descriptor import CSpace, ExecutionSettings, Payload, RobotDescriptor, StrategyParams, ToolSpeeds
 from zarm_contract.digital_output import DigitalOutput
 from zarm_contract.errors import MEANINGS, Problem, ZarmError
 from zarm_contract.gripper import Gripper
@@ -176,6 +176,7 @@ def _attribute_docs(model: type[BaseModel]) -> dict[str, str]:
 _SECTIONS = {
     "CSpace": "cspace",
     "ToolSpeeds": "tool",
+    "Payload": "payload",
     "ExecutionSettings": "execution",
     "StrategyParams": "strategy_params",
     "Gripper": "gripper",
@@ -366,6 +367,7 @@ def robot() -> Iterator[str]:
     parts = (
         CSpace,
         ToolSpeeds,
+        Payload,
         ExecutionSettings,
         StrategyParams,
         CollisionSphere,

@@ -13,7 +13,7 @@ from zarm_contract.collision import CollisionPrimitive, CollisionSphere
 from zarm_contract.digital_output import DigitalOutput
 from zarm_contract.gripper import Gripper
 from zarm_contract.group import JointGroup
-from zarm_contract.messages import GroupName, Joints, NonNegative, Positive, SpeedScale
+from zarm_contract.messages import GroupName, Joints, NonNegative, Positive, SpeedScale, Vector3
 from zarm_contract.section import Section
 from zarm_contract.strategies import DRIVER_STRATEGIES, DriverStrategyName
 
@@ -27,6 +27,15 @@ class CSpace(Section):
     """Maximum joint accelerations (rad/s²), also for every stop."""
     jerk: tuple[Positive, ...]
     """Maximum joint jerks (rad/s³)."""
+
+
+class Payload(Section):
+    """What a link carries besides what its URDF states: a tool, a camera, cables."""
+
+    mass: Positive
+    """Its mass (kg)."""
+    center: Vector3 = (0.0, 0.0, 0.0)
+    """Its centre of mass in the frame of the link (m)."""
 
 
 class ToolSpeeds(Section):
@@ -203,6 +212,8 @@ class RobotDescriptor(Section):
     groups: dict[GroupName, JointGroup] = Field(default={}, max_length=16)
     """Joint groups by name, for a robot with several arms, or an arm on a torso or an axis: what a request may plan for. A request that names no
     group is for all joints. Left out: the robot is one arm."""
+    payloads: dict[str, Payload] = Field(default={}, max_length=16)
+    """What is mounted on links, by link. Plans keep the efforts of the joints with it, and a simulation with physics weighs it."""
     tool: ToolSpeeds = ToolSpeeds()
     """How the tip moves along lines, arcs and paths, unless the request says otherwise."""
     interpolation_dt: Annotated[float, Field(ge=0.001, le=0.1)] = 0.02

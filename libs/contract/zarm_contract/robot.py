@@ -205,6 +205,11 @@ def _against_urdf(robot: RobotDescriptor, urdf: Urdf) -> list[tuple[KeyPath, str
             limits = f"{joint.lower} to {joint.upper}"
             faults.append((("home", index), f"{value} is outside the limits of {joint.name}: {limits}"))
     faults += [
+        (("payloads", link), f"the link {link} is not in the URDF; the links there are {', '.join(urdf.links)}")
+        for link in robot.payloads
+        if link not in urdf.links
+    ]
+    faults += [
         (("grippers", name, key), fault)
         for name, gripper in robot.grippers.items()
         for key, fault in gripper.faults_in(urdf, robot.joints)

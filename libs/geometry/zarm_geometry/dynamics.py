@@ -89,6 +89,16 @@ def weights_of(robot: RobotDescription) -> tuple[Weight, ...] | None:
     return tuple(weights)
 
 
+def weights_of_payloads(robot: RobotDescription) -> Iterator[Weight]:
+    """What is mounted on the links of a robot, as points; what stands on its base weighs nothing."""
+    descriptor, grippers = robot.descriptor, robot.gripper_positions({})
+    for link, payload in descriptor.payloads.items():
+        passed, pose = along(robot.urdf.chain(descriptor.base_link, link), grippers)
+        if passed:
+            center = pose[:3, :3] @ payload.center + pose[:3, 3]
+            yield Weight(descriptor.joints.index(passed[-1][0]), payload.mass, center, np.zeros((3, 3)))
+
+
 @dataclass(frozen=True)
 class Dynamics:
     """The tree of a robot's joints with what each carries, see `kernels.dynamics.torques`, and the largest torques `limit` (dof,):

@@ -16,7 +16,7 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Attached
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.body import Body, along, attached_body, bounding_ball, link_body
-from zarm_geometry.dynamics import Dynamics, Weight, weights_of, weights_of_load
+from zarm_geometry.dynamics import Dynamics, Weight, weights_of, weights_of_load, weights_of_payloads
 from zarm_geometry.inertia import stances, stated_limits
 from zarm_geometry.joint_tree import Index, JointTree, Place
 from zarm_geometry.kernels.arrays import RobotArrays
@@ -380,7 +380,7 @@ class RobotModel:
         if self.whole is not None:
             weights, places = self.whole.model._weights, self.whole.places
             return None if weights is None else tuple(weight.carried(places) for weight in weights)
-        links = weights_of(self.robot) if self.without is None else self.without._weights
+        links = self._own_weights if self.without is None else self.without._weights
         if links is None:
             return None
         loads = (
@@ -392,10 +392,15 @@ class RobotModel:
         return (*links, *loads)
 
     @cached_property
+    def _own_weights(self) -> tuple[Weight, ...] | None:
+        links = weights_of(self.robot)
+        return None if links is None else (*links, *weights_of_payloads(self.robot))
+
+    @cached_property
     def _torque_limits(self) -> Array:
         if self.without is not None:
             return self.without._torque_limits
-        unlimited = Dynamics.of(self.tree, self._weights or (), np.full(self.dof, np.inf))
+        unlimited = Dynamics.of(self.tree, weights_of(self.robot) or (), np.full(self.dof, np.inf))
         return stated_limits(self.robot, unlimited.holding(stances(self.robot)))
 
     @cached_property

@@ -171,6 +171,8 @@ def _descriptor_text(composition: Composition, robots: Mapping[str, RobotDescrip
         "cspace": {"velocity": [], "acceleration": [], "jerk": []},
         "groups": {},
         "grippers": {},
+        "outputs": {},
+        "payloads": {},
     }
     sections: dict[str, Any] = {"collision": {}, "spheres": {}, "self_collision_ignore": [], "self_collision_exact": []}
     periods = []
@@ -193,6 +195,11 @@ def _descriptor_text(composition: Composition, robots: Mapping[str, RobotDescrip
             section["pads"] = [_named(name, pad) for pad in section["pads"]]
             section.pop("action", None)
             whole["grippers"][_named(name, gripper)] = section
+        whole["outputs"] |= {
+            _named(name, output): {key: value for key, value in section.items() if key != "service"}
+            for output, section in own.get("outputs", {}).items()
+        }
+        whole["payloads"] |= {_named(name, link): section for link, section in own.get("payloads", {}).items()}
         for section in ("collision", "spheres"):
             sections[section] |= {_named(name, link): own[section][link] for link in own[section]}
         for section in ("self_collision_ignore", "self_collision_exact"):

@@ -15,6 +15,15 @@ _LEAST_INERTIA = 1e-9
 """Of a link that has neither geometry nor a stated inertia (kg, kg m²)."""
 
 
+_POINT = (_LEAST_INERTIA, _LEAST_INERTIA, _LEAST_INERTIA, 0.0, 0.0, 0.0)
+"""Of a mass in a point."""
+
+
+def payload_name(link: str) -> str:
+    """The body of what is mounted on a link."""
+    return f"payload of {link}"
+
+
 def add_robot(spec: mujoco.MjSpec, robot: RobotDescription, inertials: dict[str, Inertial], density: float) -> None:
     """Add the links with their exact geometry; those without an inertial get a `density` (kg/m³).
 
@@ -44,8 +53,10 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotDescription, inertials: dict[str,
         if (inertial := inertials.get(link)) is not None:
             _set_inertia(body, inertial.mass, inertial.xyz, of_rpy(inertial.rpy), inertial.inertia)
         elif not shapes:
-            least = (_LEAST_INERTIA, _LEAST_INERTIA, _LEAST_INERTIA, 0.0, 0.0, 0.0)
-            _set_inertia(body, _LEAST_MASS, (0.0, 0.0, 0.0), [1.0, 0.0, 0.0, 0.0], least)
+            _set_inertia(body, _LEAST_MASS, (0.0, 0.0, 0.0), [1.0, 0.0, 0.0, 0.0], _POINT)
+        if (payload := descriptor.payloads.get(link)) is not None:
+            mounted = body.add_body(name=payload_name(link), pos=list(payload.center))
+            _set_inertia(mounted, payload.mass, (0.0, 0.0, 0.0), [1.0, 0.0, 0.0, 0.0], _POINT)
         for child in children.get(link, ()):
             add(body, child.child, child)
 

@@ -14,7 +14,7 @@ from zarm_contract.gripper import Gripper
 from zarm_contract.messages import Attached, Quaternion, Vector3
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.inertia import stances, stated_limits, usable_inertials
-from zarm_physics_sim.robot_body import add_robot
+from zarm_physics_sim.robot_body import add_robot, payload_name
 from zarm_physics_sim.shapes import wxyz
 from zarm_physics_sim.world import World, add_object, body_name, is_object, object_name
 
@@ -116,7 +116,11 @@ class Simulation:
         self._model.dof_armature[self._fingers.speeds] = [
             _FINGER_ARMATURE * finger.stiffness(robot) for finger in self.fingers
         ]
+        payloads = [self._model.body(payload_name(link)).id for link in robot.descriptor.payloads]
+        masses = self._model.body_mass[payloads]
+        self._model.body_mass[payloads] = 0.0  # efforts have to bear the arm alone
         holding = np.array([self._held_at(stance) for stance in stances(robot)])
+        self._model.body_mass[payloads] = masses
         self.limit = stated_limits(robot, holding)
         self.largest: Array = np.where(np.isfinite(self.limit), self.limit, 2.0 * holding.max(axis=0) + 10.0)
         self._model.dof_armature[self._joints.speeds] = self.largest / _ACCELERATION

@@ -10,12 +10,15 @@ import pytest
 from numpy.typing import NDArray
 
 from support.composed import two_pandas
+from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Attached, Cuboid
 from zarm_contract.robot import load_robot
 from zarm_geometry.dynamics import Dynamics
 from zarm_geometry.inertia import usable_inertials
 from zarm_geometry.robot_model import RobotModel
 from zarm_physics_sim.robot_body import add_robot
+from zarm_physics_sim.simulation import Simulation
+from zarm_physics_sim.world import World
 
 Array = NDArray[np.float64]
 
@@ -112,3 +115,23 @@ def test_an_effort_that_cannot_hold_the_empty_arm_is_no_limit(
         (tmp_path / f"ur5e{suffix}").write_text(changed, encoding="utf-8")
     limit = known(RobotModel.of(load_robot(str(tmp_path / "ur5e.yaml")))).limit
     assert tuple(np.flatnonzero(np.isinf(limit))) == wrong
+
+
+def test_what_is_mounted_on_a_link_counts_and_changes_no_limit(tmp_path: Path) -> None:
+    original = load_robot("ur5e")
+    (tmp_path / "ur5e.urdf").write_text(original.path.with_suffix(".urdf").read_text(encoding="utf-8"))
+    text = original.path.read_text(encoding="utf-8")
+    mounted = "\npayloads:\n  tool0: {mass: 2.5, center: [0.02, 0.0, 0.08]}\n  forearm_link: {mass: 0.8}\n"
+    (tmp_path / "ur5e.yaml").write_text(text + mounted, encoding="utf-8")
+    model, bare = RobotModel.of(load_robot(str(tmp_path / "ur5e.yaml"))), RobotModel.of(original)
+    peer = Peer(model)
+    for q, v, a in motions(model, 10):
+        torque = known(model).torque([q], [v], [a])[0]
+        assert torque == pytest.approx(peer.torque(q, v, a), abs=1e-3)
+        assert np.abs(torque - known(bare).torque([q], [v], [a])[0]).max() > 0.5
+    assert np.array_equal(known(model).limit, known(bare).limit)
+    simulation = Simulation(model.robot, World(), np.array(original.descriptor.home))
+    assert np.array_equal(simulation.limit, known(bare).limit)
+    (tmp_path / "ur5e.yaml").write_text(text + "\npayloads:\n  gripper: {mass: 1.0}\n", encoding="utf-8")
+    with pytest.raises(InvalidRequest, match=r"payloads\.gripper: the link gripper is not in the URDF"):
+        load_robot(str(tmp_path / "ur5e.yaml"))

@@ -83,6 +83,24 @@ def test_each_arm_keeps_its_gripper(tmp_path: Path) -> None:
     assert robot.gripper_positions({"left_hand": 0.02})["right_panda_finger_joint1"] == 0.04
 
 
+def test_each_arm_keeps_its_outputs_and_what_is_mounted_on_it(tmp_path: Path) -> None:
+    arm = small_arm(tmp_path)
+    link = arm.descriptor.tip_link
+    with arm.path.open("a", encoding="utf-8") as file:
+        file.write(
+            f"\noutputs: {{vacuum: {{service: /vacuum, driver_timeout: 3.0}}}}\npayloads: {{{link}: {{mass: 0.5}}}}\n"
+        )
+    robot = load_robot(str(composed(tmp_path, TORSO))).descriptor
+    assert {name: (one.service, one.driver_timeout) for name, one in robot.outputs.items()} == {
+        "torso_vacuum": (None, 3.0),
+        "left_vacuum": (None, 3.0),
+        "right_vacuum": (None, 3.0),
+    }
+    assert {name: one.mass for name, one in robot.payloads.items()} == {
+        f"torso_{link}": 0.5, f"left_{link}": 0.5, f"right_{link}": 0.5,
+    }  # fmt: skip
+
+
 def test_the_check_finds_nothing_wrong_with_a_composition(tmp_path: Path) -> None:
     assert findings(load_robot(str(two_pandas(tmp_path)))) == []
 
