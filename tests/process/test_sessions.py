@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import os
 import pty
@@ -18,6 +19,7 @@ import numpy as np
 import pytest
 
 import zarm
+import zarm.aio
 from support.command_line import ZARM, environment
 from support.command_line import zarm as run_zarm
 from support.executor.client import Client
@@ -277,6 +279,24 @@ def test_chunks_lead_the_robot_and_when_they_end_it_rests(cell: Cell) -> None:
     assert np.ptp(positions[:, 0]) > 0.3
     assert np.ptp(positions[:, 1:], axis=0).max() < 2e-3
     cell.assert_sound()
+
+
+def test_asynchronous_chunks_leave_the_loop_to_others(cell: Cell) -> None:
+    async def main() -> list[ChunkAccepted]:
+        answers = []
+        async with zarm.aio.connect(cell.endpoint) as arm, arm.track(chunks=True) as tracking:
+            for _ in range(3):
+                sent = asyncio.create_task(tracking.follow(np.tile(HOME, (5, 1)), dt=0.1))
+                await asyncio.sleep(0)
+                assert not sent.done()
+                answers.append(await sent)
+            assert tracking.running
+            with pytest.raises(zarm.InvalidRequest):
+                await tracking.follow(np.zeros((5, 5)), dt=0.1)
+        return answers
+
+    assert [answer.lost for answer in asyncio.run(main())] == [0, 0, 0]
+    assert cell.client.stands()
 
 
 def test_what_is_in_the_way_of_chunks_is_named_in_the_answers_and_kept_away_from(cell: Cell) -> None:

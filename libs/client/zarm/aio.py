@@ -39,19 +39,32 @@ import zarm.perception
 import zarm.replaying
 import zarm.robot
 import zarm.scene
+import zarm.servoing
 import zarm.simulation
 from zarm.connection import CONNECT_SECONDS, Connection
 from zarm.executor import OnProgress
 from zarm.interrupts import Interruption, started
 from zarm.record_story import Story
-from zarm_contract.messages import ExecuteRequest, GoalState, Plan, Trajectory
+from zarm_contract.messages import ExecuteRequest, GoalState, Plan, ServoSession, Trajectory
 from zarm_contract.roles import Role
 
 if TYPE_CHECKING:
     from zarm.servo import SessionOptions
-    from zarm.servoing import ChunkTracking, Tracking
+    from zarm.servoing import Tracking
 
-__all__ = ["Gripper", "Perception", "Robot", "Scene", "Simulation", "connect", "replay", "robots", "story"]
+__all__ = [
+    "ChunkTracking",
+    "Gripper",
+    "Outputs",
+    "Perception",
+    "Robot",
+    "Scene",
+    "Simulation",
+    "connect",
+    "replay",
+    "robots",
+    "story",
+]
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -113,6 +126,40 @@ def _iterated(
                 values.close()
 
     return iterate
+
+
+def _in_session(
+    method: Callable[Concatenate[zarm.servoing.ChunkTracking, P], T],
+) -> Callable[Concatenate[ChunkTracking, P], Coroutine[Any, Any, T]]:
+    @functools.wraps(method)
+    async def call(self: ChunkTracking, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        return await _in_thread(lambda: method(self.session, *args, **kwargs), Interruption())
+
+    return call
+
+
+class ChunkTracking:
+    """See `zarm.ChunkTracking`."""
+
+    def __init__(self, session: zarm.servoing.ChunkTracking) -> None:
+        self.session = session
+
+    @property
+    def goal_id(self) -> str:
+        """The goal of the executor that this session is."""
+        return self.session.goal_id
+
+    @property
+    def state(self) -> ServoSession | None:
+        """The session's last state. None before the first one."""
+        return self.session.state
+
+    @property
+    def running(self) -> bool:
+        """Whether the session has not ended yet."""
+        return self.session.running
+
+    follow = _in_session(zarm.servoing.ChunkTracking.follow)
 
 
 class Track(Protocol):
@@ -300,7 +347,14 @@ class Robot(_Twin[zarm.robot.Robot]):
     states = _iterated(zarm.robot.Robot.states)
     joint_states = _iterated(zarm.robot.Robot.joint_states)
     stream = _entered(zarm.robot.Robot.stream)
-    track = cast("Track", _entered(cast("Any", zarm.robot.Robot.track)))
+    _entered_track = _entered(cast("Any", zarm.robot.Robot.track))
+
+    @asynccontextmanager
+    async def _track(self, *, chunks: bool = False, **options: Any) -> AsyncIterator[Tracking | ChunkTracking]:
+        async with self._entered_track(chunks=chunks, **options) as session:
+            yield ChunkTracking(session) if chunks else session
+
+    track = cast("Track", _track)
     jog = _entered(zarm.robot.Robot.jog)
     record = _entered(zarm.robot.Robot.record)
     _execute = _awaited(zarm.robot.Robot.execute)
