@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+from array import array
 from base64 import b64encode
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +18,7 @@ from moveit_msgs.msg import (
     ObjectColor,
     PlanningScene,
     PlanningSceneComponents,
+    PlanningSceneWorld,
     RobotState,
 )
 from moveit_msgs.srv import (
@@ -30,6 +33,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from shape_msgs.msg import Plane, SolidPrimitive
 from std_msgs.msg import ColorRGBA
+from std_srvs.srv import Empty
 
 import zarm
 from support.harness import eventually
@@ -37,8 +41,10 @@ from support.ros.moveit import quaternion
 from support.ros.stack import KEYS, Stack
 from zarm.connection import Connection
 from zarm.robot import Robot
-from zarm_contract.messages import VoxelBlock
+from zarm_contract.messages import VoxelBlock, Voxels
 from zarm_contract.robot import load_robot
+from zarm_geometry.frames import matrix
+from zarm_ros_bridge.moveit.octomap import octomap
 
 ROBOT = load_robot("doosan_m1013")
 JOINTS, HOME = ROBOT.descriptor.joints, ROBOT.descriptor.home
@@ -276,3 +282,96 @@ def test_what_cameras_see_is_the_octomap_of_the_planning_scene(arm: Stack, robot
     for name in ("0.0.0", "3.4.1"):
         blocks.set(VoxelBlock(position=(0.0, 0.0, 0.0), resolution=0.02), key=KEYS.voxels(name))
     eventually(lambda: shown(set()), "the map is empty")
+
+
+def binary_map(cells: np.ndarray, resolution: float) -> OctomapWithPose:
+    """An octomap with these cells (n, 3) occupied, as the bridge writes one; cell (0, 0, 0) begins at the origin."""
+    voxels = Voxels(
+        kind="voxels", name="map", position=(resolution / 2,) * 3, resolution=resolution, cells=tuple(map(tuple, cells.tolist()))
+    )  # fmt: skip
+    return octomap([voxels], "base_link")
+
+
+def full_map(resolution: float) -> OctomapWithPose:
+    """An octree as `octomap_msgs::fullMapToMsg` writes it: a pruned leaf of 2 x 2 x 2 occupied cells from (0, 0, 0) on, and a free leaf beside it."""
+    levels = [struct.pack("<fB", 0.0, 1 << 7)]  # the root: its last child has only positive coordinates
+    levels += [struct.pack("<fB", 0.0, 1)] * 13
+    levels.append(struct.pack("<fB", 0.0, 0b11))
+    levels.append(struct.pack("<fB", 2.2, 0) + struct.pack("<fB", -1.4, 0))
+    message = OctomapWithPose()
+    message.header.frame_id = "base_link"
+    message.octomap.id, message.octomap.resolution = "OcTree", resolution
+    message.octomap.data = array("b", b"".join(levels))
+    return message
+
+
+def centers_of(robot: Robot) -> np.ndarray:
+    """The centres (n, 3) of the cells of the octomap in the scene."""
+    (item,) = (one for one in robot.scene.read().objects if one.name == "octomap")
+    assert isinstance(item, Voxels)
+    pose = matrix(item.position, item.orientation)
+    return np.array(item.cells) * item.resolution @ pose[:3, :3].T + pose[:3, 3]
+
+
+def test_octomap_of_a_client_is_in_the_scene_and_is_shown_as_one(arm: Stack, robot: Robot) -> None:
+    cells = np.argwhere(np.random.default_rng(1).random((6, 7, 8)) < 0.3) + (5, -3, 8)
+    sent = binary_map(cells, 0.05)
+    sent.origin.position.x = 0.1
+    assert applied(arm, world=PlanningSceneWorld(octomap=sent))
+    expected = np.sort((cells + 0.5) * 0.05 + (0.1, 0.0, 0.0), axis=0)
+    assert np.sort(centers_of(robot), axis=0) == pytest.approx(expected, abs=1e-9)
+    asked = PlanningSceneComponents(
+        components=PlanningSceneComponents.OCTOMAP | PlanningSceneComponents.WORLD_OBJECT_NAMES
+    )
+    shown = arm.ros.call(GetPlanningScene, "/get_planning_scene", components=asked).scene.world
+    assert shown.collision_objects == []
+    assert np.sort(np.array([*leaves(shown.octomap)]), axis=0) == pytest.approx(expected, abs=1e-6)
+    turned = binary_map(cells, 0.05)
+    turned.origin = at(0.0, 0.0, 0.5, (0.0, 0.0, 1.0, 0.0))
+    assert applied(arm, world=PlanningSceneWorld(octomap=turned)), "it takes the place of the one before"
+    half_turn = ((cells + 0.5) * 0.05) * (-1, -1, 1) + (0.0, 0.0, 0.5)
+    assert np.sort(centers_of(robot), axis=0) == pytest.approx(np.sort(half_turn, axis=0), abs=1e-9)
+    assert applied(arm), "a change of something else leaves it"
+    assert len(centers_of(robot)) == len(cells)
+    arm.ros.call(Empty, "/clear_octomap")
+    assert robot.scene.objects() == {}
+
+
+def test_octomap_with_probabilities_has_its_occupied_leaves_in_the_scene(arm: Stack, robot: Robot) -> None:
+    assert applied(arm, world=PlanningSceneWorld(octomap=full_map(0.1)))
+    assert sorted(map(tuple, np.round(centers_of(robot), 6).tolist())) == [
+        (x, y, z) for x in (0.05, 0.15) for y in (0.05, 0.15) for z in (0.05, 0.15)
+    ]
+    empty = OctomapWithPose()
+    empty.header.frame_id, empty.octomap.id = "base_link", "OcTree"
+    assert applied(arm, world=PlanningSceneWorld(octomap=empty))
+    assert robot.scene.objects() == {}
+
+
+@pytest.mark.parametrize("change", ["id", "cut", "large", "fine"])
+def test_octomap_that_cannot_be_taken_is_refused_and_changes_nothing(arm: Stack, robot: Robot, change: str) -> None:
+    message = full_map(0.1)
+    if change == "id":
+        message.octomap.id = "ColorOcTree"
+    if change == "cut":
+        message.octomap.data = message.octomap.data[:-3]
+    if change == "large":
+        message.octomap.data = array("b", struct.pack("<fB", 1.0, 0))
+    if change == "fine":
+        message.octomap.resolution = 1e-6
+    assert not applied(arm, world=PlanningSceneWorld(octomap=message))
+    assert robot.scene.objects() == {}
+
+
+def test_padding_of_all_links_is_the_margin(arm: Stack, robot: Robot) -> None:
+    links = ROBOT.descriptor.collision
+    before = robot.settings().margin
+    try:
+        assert applied(arm, link_padding=[LinkPadding(link_name=link, padding=0.02) for link in links])
+        assert robot.settings().margin == pytest.approx(0.02)
+        assert applied(arm, link_padding=[LinkPadding(link_name=link) for link in links])
+        assert robot.settings().margin == pytest.approx(0.02), "none leaves it"
+        odd = [LinkPadding(link_name=link, padding=0.01 * (k == 0)) for k, link in enumerate(links)]
+        assert not applied(arm, link_padding=odd)
+    finally:
+        robot.settings(margin=before)

@@ -20,7 +20,6 @@ from moveit_msgs.srv import (
 )
 from rcl_interfaces.msg import ParameterDescriptor
 from std_msgs.msg import String
-from std_srvs.srv import Empty
 
 from zarm_contract.errors import InternalError, ZarmError
 from zarm_ros_bridge.action_servers import ActionServers
@@ -114,7 +113,6 @@ class Services:
             (GetStateValidity, "check_state_validity", kinematics.check, None),
             (GetMultiStateValidity, "check_multi_state_validity", kinematics.check_all, None),
             (GetGroupUrdf, "get_urdf", self._urdf, _itself),
-            (Empty, "clear_octomap", self._clear_map, None),
         ):
             ros.serve(kind, name, self._answering(name, fill, codes))
 
@@ -167,9 +165,6 @@ class Services:
             self._plans.remember(plan)
             response.start_state = trajectory_start(plan)
             response.solution = robot_trajectory(plan, self._frames.links.base)
-
-    def _clear_map(self, _: Any, __: Any) -> None:
-        self._engine.client.perception.clear()
 
     def _urdf(self, request: Any, response: Any) -> None:
         self._requests.groups.of(request.group_name)

@@ -19,20 +19,21 @@ from moveit_msgs.msg import (
 from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA
 
-from zarm_contract.messages import Scene, SceneObject
+from zarm_contract.messages import Scene, SceneObject, Voxels
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.frames import matrix
 from zarm_geometry.voxel_blocks import VoxelBlocks
 from zarm_ros_bridge.convert.colours import Colour
 from zarm_ros_bridge.frames import placed
 from zarm_ros_bridge.moveit.collision_objects import collision_object, id_of
-from zarm_ros_bridge.moveit.octomap import octomap
+from zarm_ros_bridge.moveit.octomap import OCTOMAP, octomap
 from zarm_ros_bridge.moveit.states import Positions, robot_state
 
 Array = NDArray[np.float64]
 C = PlanningSceneComponents
 ALL = 1023
 """Every component of a planning scene."""
+_UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
 def grouped(objects: Iterable[SceneObject]) -> dict[str, list[SceneObject]]:
@@ -63,6 +64,9 @@ class PlanningSceneMessages:
         descriptor = self._robot.descriptor
         message = PlanningScene(name=scene.revision, robot_model_name=descriptor.name)
         message.is_diff = False
+        taken = _octomap_of(scene.objects)
+        shows_map = bool(taken) and not self._voxels.objects
+        blocks = taken if shows_map else tuple(self._voxels.objects.values())
         if components & (C.ROBOT_STATE | C.ROBOT_STATE_ATTACHED_OBJECTS) and joints is not None:
             message.robot_state = robot_state(descriptor.joints, joints)
         if components & C.ROBOT_STATE_ATTACHED_OBJECTS:
@@ -71,9 +75,10 @@ class PlanningSceneMessages:
             message.world.collision_objects = [
                 self._object(identity, parts, geometry=bool(components & C.WORLD_OBJECT_GEOMETRY))
                 for identity, parts in grouped(scene.objects).items()
+                if not (shows_map and identity == OCTOMAP)
             ]
         if components & C.OCTOMAP:
-            message.world.octomap = octomap(self._voxels.objects.values(), descriptor.base_link)
+            message.world.octomap = octomap(blocks, descriptor.base_link)
         if components & C.ALLOWED_COLLISION_MATRIX:
             message.allowed_collision_matrix = self.allowed(scene)
         if components & C.LINK_PADDING_AND_SCALING:
@@ -141,6 +146,14 @@ class PlanningSceneMessages:
             )
             for identity, parts in found.items()
         ]
+
+
+def _octomap_of(objects: Iterable[SceneObject]) -> tuple[Voxels, ...]:
+    """The objects that are a client's octomap, if they can be shown as one."""
+    parts = grouped(objects).get(OCTOMAP, [])
+    found = tuple(part for part in parts if isinstance(part, Voxels) and part.orientation == _UPRIGHT)
+    same = {(part.resolution, part.position) for part in found}
+    return found if len(found) == len(parts) and len(same) == 1 else ()
 
 
 def _ignored_objects(scene: Scene) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, MutableMapping
+from collections.abc import Callable, MutableMapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -23,17 +23,20 @@ from moveit_msgs.srv import ApplyPlanningScene, GetPlanningScene, LoadGeometryFr
 from numpy.typing import NDArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.qos import QoSProfile
+from std_srvs.srv import Empty
 
 from zarm_contract.errors import InternalError, ZarmError
-from zarm_contract.messages import Scene, SceneObject
+from zarm_contract.messages import Scene, SceneObject, Voxels
 from zarm_geometry.voxel_blocks import VoxelBlocks
 from zarm_ros_bridge.convert.colours import Colour
+from zarm_ros_bridge.convert.fields import finite
 from zarm_ros_bridge.convert.joints import known_as
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames, placed
 from zarm_ros_bridge.moveit.allowances import Allowances
 from zarm_ros_bridge.moveit.collision_objects import id_of, moved, name_of, origin_of, parts_of
 from zarm_ros_bridge.moveit.error_codes import Refusal
+from zarm_ros_bridge.moveit.octomap import OCTOMAP, voxels_of
 from zarm_ros_bridge.moveit.planning_scene import ALL, PlanningSceneMessages, grouped
 from zarm_ros_bridge.moveit.scene_text import objects_of, text_of
 from zarm_ros_bridge.ros import Ros
@@ -70,6 +73,7 @@ class PlanningScenes:
         ros.serve(ApplyPlanningScene, "apply_planning_scene", self._apply)
         ros.serve(SaveGeometryToFile, "save_geometry_to_file", self._save)
         ros.serve(LoadGeometryFromFile, "load_geometry_from_file", self._load)
+        ros.serve(Empty, "clear_octomap", self._clear_map)
         in_order = MutuallyExclusiveCallbackGroup()
         for kind, topic, edit in (
             (CollisionObject, "collision_object", self._object),
@@ -127,6 +131,16 @@ class PlanningScenes:
         response.success = self._done("load_geometry_from_file", self._read, request.file_path_and_name)
         return response
 
+    def _clear_map(self, _: Any, response: Any) -> Any:
+        self._done("clear_octomap", self._forget_map, None)
+        return response
+
+    def _forget_map(self, _: Any) -> None:
+        """Forget the octomap that a client has sent, and what cameras have seen. Raises Unavailable where that cannot be done."""
+        self._replace_octomap()
+        if self._voxels.objects:
+            self._engine.client.perception.clear()
+
     def _listened(self, topic: str, edit: Callable[[Any], None]) -> Callable[[Any], None]:
         def received(message: Any) -> None:
             self._done(topic, edit, message)
@@ -151,24 +165,17 @@ class PlanningScenes:
 
     def _edit(self, message: Any) -> None:
         """A whole scene, or with `is_diff` what changes. Raises Refusal, and the planner's errors."""
-        for i, padding in enumerate(message.link_padding):
-            if padding.padding != 0.0:
-                raise Refusal(
-                    Val.FAILURE,
-                    "links are not padded one by one; zarm keeps a margin to all objects: set margin in the planner's settings",
-                    f"link_padding[{i}].padding",
-                )
+        margin = self._margin(message.link_padding)
         for i, scale in enumerate(message.link_scale):
             if scale.scale != 1.0:
                 raise Refusal(Val.FAILURE, "links are not scaled; leave it at 1", f"link_scale[{i}].scale")
-        if message.world.octomap.octomap.data:
-            raise Refusal(
-                Val.SENSOR_INFO_STALE,
-                "an octomap is not taken; the voxel map is made from cameras (`zarm up --perception`)",
-                "world.octomap",
-            )
+        seen = self._mapped(message.world.octomap)
+        if margin is not None:
+            self._engine.client.planner.settings(margin=margin)
         if not message.is_diff:
             self._clear()
+        if seen is not None:
+            self._replace_octomap(seen)
         for attached in message.robot_state.attached_collision_objects:
             if attached.object.operation == CollisionObject.REMOVE:
                 self._attachment(attached)
@@ -182,6 +189,39 @@ class PlanningScenes:
         for colour in message.object_colors:
             c = colour.color
             self._colours[name_of(colour.id)] = (c.r, c.g, c.b, c.a)
+
+    def _margin(self, padding: Sequence[Any]) -> float | None:
+        """The margin (m) to objects that a padding of all links asks for; None for none. Raises Refusal for links that differ."""
+        padded = {known_as(one.link_name, self._engine.robot.descriptor.collision): one.padding for one in padding}
+        if not any(padded.values()):
+            return None
+        if len({*padded.values()}) > 1 or {*self._engine.robot.descriptor.collision} - {*padded}:
+            raise Refusal(
+                Val.FAILURE,
+                "zarm keeps one margin to all objects; give all links with collision geometry the same padding",
+                "link_padding",
+            )
+        return finite(next(iter(padded.values())), "link_padding[0].padding")
+
+    def _mapped(self, message: Any) -> tuple[Voxels, ...] | None:
+        """The objects of an octomap; None if there is none, or cameras make the map. Raises Refusal and InvalidRequest."""
+        if not message.octomap.id:
+            return None
+        if self._voxels.objects:
+            self._log.info("an octomap is not taken while cameras make the voxel map")
+            return None
+        header = message.header
+        frame = self._frames.pose_of(header.frame_id, header.stamp.sec + header.stamp.nanosec * 1e-9)
+        return voxels_of(message, frame, OCTOMAP)
+
+    def _replace_octomap(self, seen: Sequence[Voxels] = ()) -> None:
+        """Put these objects in the place of the octomap that a client has sent."""
+        scene, names = self._engine.client.scene, {one.name for one in seen}
+        gone = [part.name for part in grouped(scene.read().objects).get(OCTOMAP, ()) if part.name not in names]
+        if seen:
+            scene.add(*seen, replace=True)
+        if gone:
+            scene.remove(*gone)
 
     def _write(self, name: str) -> None:
         """Save the objects to a file of this machine."""
