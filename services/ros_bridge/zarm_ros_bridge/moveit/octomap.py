@@ -47,7 +47,7 @@ def octomap(blocks: Collection[Voxels], frame: str) -> Any:
     resolution = next(iter(blocks)).resolution
     centers = np.concatenate([np.array(block.cells) * resolution + block.position for block in blocks])
     # Cells of an octree begin at multiples of its resolution.
-    x, y, z = ((centers[0] / resolution - 0.5) % 1.0 * resolution).tolist()
+    x, y, z = (np.round(centers[0] / resolution - 0.5, 6) % 1.0 * resolution).tolist()
     message.origin = Pose(position=Point(x=x, y=y, z=z))
     cells = np.rint((centers - (x, y, z)) / resolution - 0.5).astype(np.int64)
     message.octomap.header.frame_id = frame
