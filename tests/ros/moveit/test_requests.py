@@ -117,6 +117,22 @@ def test_joints_end_within_their_tolerances(arm: Stack, robot: Robot) -> None:
             assert np.allclose(end_of(response), goal, atol=1e-3)
 
 
+def test_joints_beside_a_pose_choose_the_configuration(arm: Stack, robot: Robot) -> None:
+    reached = [np.array(q) for q in robot.ik(robot.fk([HOME])[0], max_solutions=64)]
+    for wanted in (HOME[2], next(q[2] for q in reached if abs(q[2] - HOME[2]) > 0.5)):
+        there = robot.fk([HOME])[0]
+        goal = pose(there.position, there.orientation)
+        goal.joint_constraints = joints(JOINTS[2:3], [wanted], 0.2).joint_constraints
+        end = end_of(planned(arm.ros, request(goal)))
+        assert end[2] == pytest.approx(wanted, abs=0.2)
+        (tip,) = robot.fk([end])
+        assert tip.position == pytest.approx(there.position, abs=1e-3)
+    goal.joint_constraints = joints(JOINTS[2:3], [HOME[2] + 1.0], 0.01).joint_constraints
+    assert planned(arm.ros, request(goal)).error_code.val == E.NO_IK_SOLUTION
+    goal.joint_constraints = joints(["finger"], [0.0]).joint_constraints
+    assert planned(arm.ros, request(goal)).error_code.val == E.INVALID_GOAL_CONSTRAINTS
+
+
 def test_joints_that_are_not_constrained_keep_their_position(arm: Stack, robot: Robot) -> None:
     end = end_of(planned(arm.ros, request(joints(JOINTS[:1], [0.3]))))
     assert end == pytest.approx([0.3, *HOME[1:]], abs=1e-6)

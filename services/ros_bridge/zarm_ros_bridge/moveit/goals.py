@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
 from moveit_msgs.msg import MoveItErrorCodes as Val
 from numpy.typing import NDArray
 
-from zarm_contract.messages import Goal, JointGoal, Pose, PoseGoal, PoseTolerance, TipFrame
+from zarm_contract.messages import Goal, JointGoal, Joints, Pose, PoseGoal, PoseTolerance, TipFrame
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.frames import pose_of, rotated_by
 from zarm_ros_bridge.moveit.constraint_set import FREE, ConstraintSet, Orientation, PointRegion
@@ -25,6 +25,8 @@ _FARTHEST = 100.0  # m, the largest bound of a distance
 _COMPONENT, _PRODUCT = 0.7, 0.6
 """Share of an Euler angle's tolerance for the component of the rotation vector; and how much of it the product of the two others takes."""
 _MOST = 64  # poses of one goal
+_NEAREST = 4
+"""How many configurations that reach a pose with bounded joints are planned for, one after the other."""
 _TILTED = math.radians(60.0)
 """How far (rad) a free turn about y goes to each side."""
 _TILTS = tuple(_TILTED * i / 3 for i in (0, 1, -1, 2, -2, 3, -3))
@@ -34,16 +36,28 @@ _FEW_TILTS, _FEW_ROUND = _TILTS[:3], tuple(math.pi * i / 3 for i in (0, 1, -1, 2
 
 
 def goals_of(
-    sets: Sequence[ConstraintSet], start: Sequence[float], robot: RobotDescription, tip: Callable[[], Array]
+    sets: Sequence[ConstraintSet],
+    start: Sequence[float],
+    robot: RobotDescription,
+    tip: Callable[[], Array],
+    ik: Callable[[PoseGoal, Mapping[str, float]], Sequence[Joints]],
 ) -> list[Goal]:
-    """The goals that are alternatives, in order; poses that differ in nothing else are one goal.
+    """The goals that are alternatives, in order; poses that differ in nothing else are one goal. Joints that are constrained together with a
+    pose choose among the joints that reach it.
 
     `start` are the joints (rad) where the motion begins, and keep what is not constrained; `tip()` is the pose (4, 4) of the tip
-    there. Raises Refusal.
+    there, and `ik` gives many joints (rad) that reach a goal, near those that are given by name. Raises Refusal, and what `ik` raises.
     """
     goals: list[Goal] = []
     for i, constraints in enumerate(sets):
-        goal = _goal(constraints, start, robot, tip, f"goal_constraints[{i}]")
+        field = f"goal_constraints[{i}]"
+        if constraints.joints and (constraints.positions or constraints.orientations):
+            _check_names(constraints, robot, field)
+            pose = pose_goal(constraints, robot, tip(), field)
+            solutions = ik(pose, {one.joint: one.position for one in constraints.joints})
+            goals += _reaching(constraints, solutions, start, robot, field)
+            continue
+        goal = _goal(constraints, start, robot, tip, field)
         before = goals[-1] if goals else None
         if (
             isinstance(goal, PoseGoal)
@@ -106,17 +120,35 @@ def _goal(
         raise Refusal(Val.INVALID_GOAL_CONSTRAINTS, "there is no goal; constrain joints, or the pose of a link", field)
     if not constraints.joints:
         return pose_goal(constraints, robot, tip(), field)
-    if constraints.positions or constraints.orientations:
-        raise Refusal(
-            Val.INVALID_GOAL_CONSTRAINTS,
-            "joints and a pose are constrained together; constrain one of them",
-            field,
-        )
     return JointGoal(kind="joints", position=tuple(_joints(constraints, start, robot, field)))
 
 
-def _joints(constraints: ConstraintSet, start: Sequence[float], robot: RobotDescription, field: str) -> Iterator[float]:
-    """Positions within all bounds: those that are asked for, moved into the range of the joint."""
+def _reaching(
+    constraints: ConstraintSet,
+    solutions: Sequence[Joints],
+    start: Sequence[float],
+    robot: RobotDescription,
+    field: str,
+) -> list[Goal]:
+    """The few of the joints that reach a pose that are inside the bounds and nearest to the start. Raises Refusal if there are none."""
+    inside = [
+        JointGoal(kind="joints", position=joints)
+        for joints in sorted(solutions, key=lambda joints: float(np.abs(np.subtract(joints, start)).max()))
+        if all(
+            one.low <= dict(zip(robot.descriptor.joints, joints, strict=True))[one.joint] <= one.high
+            for one in constraints.joints
+        )
+    ]
+    if not inside:
+        raise Refusal(
+            Val.NO_IK_SOLUTION,
+            f"none of {len(solutions)} configurations found for the pose has the joints inside their bounds; widen them",
+            f"{field}.joint_constraints",
+        )
+    return [*inside[:_NEAREST]]
+
+
+def _check_names(constraints: ConstraintSet, robot: RobotDescription, field: str) -> None:
     for one in constraints.joints:
         if one.joint not in robot.descriptor.joints:
             raise Refusal(
@@ -124,6 +156,11 @@ def _joints(constraints: ConstraintSet, start: Sequence[float], robot: RobotDesc
                 f"{one.joint} is not a joint of the group; those are {', '.join(robot.descriptor.joints)}",
                 f"{field}.joint_constraints",
             )
+
+
+def _joints(constraints: ConstraintSet, start: Sequence[float], robot: RobotDescription, field: str) -> Iterator[float]:
+    """Positions within all bounds: those that are asked for, moved into the range of the joint."""
+    _check_names(constraints, robot, field)
     lower, upper = robot.range_about(start)
     for joint, at, low, high in zip(robot.descriptor.joints, start, lower, upper, strict=True):
         bounds = [one for one in constraints.joints if one.joint == joint]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +11,17 @@ import numpy as np
 from moveit_msgs.msg import MoveItErrorCodes as Val
 
 from zarm_contract.errors import PlanningFailed, ZarmError
-from zarm_contract.messages import Goal, Move, Plan, PlanRequest, ProgramRequest, SpeedChange
+from zarm_contract.messages import (
+    Goal,
+    IkRequest,
+    Joints,
+    Move,
+    Plan,
+    PlanRequest,
+    PoseGoal,
+    ProgramRequest,
+    SpeedChange,
+)
 from zarm_ros_bridge.convert.fields import finite, in_terms_of
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
@@ -30,6 +40,8 @@ _SLOWER = 0.95
 """Factor by which a motion that is too fast for a bound of a link's speed is slowed below that bound."""
 _SLOWEST = 0.01
 _ROUNDS = 4
+_SOLUTIONS = 64
+"""Configurations that reach a pose, among which bounds of joints choose."""
 _FIELDS = {"goal": "goal_constraints", "start": "start_state", "path_constraint": "path_constraints"}
 """Fields of a plan request, and their names in a motion plan request."""
 
@@ -206,7 +218,20 @@ class MotionPlanRequests:
         ]
         robot = group.robot
         tip = lambda: self._frames.links.poses(begin)[robot.descriptor.tip_link]  # noqa: E731  goals of joints need none
-        return goals_of(sets, group.part(begin), robot, tip)
+
+        def ik(goal: PoseGoal, wanted: Mapping[str, float]) -> list[Joints]:
+            near = tuple(wanted.get(name, at) for name, at in zip(self._engine.joints, begin, strict=True))
+            asked = IkRequest(
+                poses=goal.poses,
+                tolerance=goal.tolerance,
+                tip=goal.tip,
+                group=group.name,
+                near=near,
+                max_solutions=_SOLUTIONS,
+            )
+            return [one for each in self._engine.client.request_ik(asked).solutions for one in each]
+
+        return goals_of(sets, group.part(begin), robot, tip, ik)
 
     def _speeds(self, request: Any, scales: Scales) -> Speeds:
         most = finite(request.max_cartesian_speed, "max_cartesian_speed")
