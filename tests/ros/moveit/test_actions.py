@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -74,6 +75,13 @@ def test_a_goal_moves_the_robot_and_reports_its_states(arm: Stack, robot: Robot)
     assert (status, result.error_code.val) == (SUCCEEDED, E.SUCCESS)
     assert np.allclose(robot.tip().position, AT, atol=1e-3)
     assert [one.state for one in goal.feedback][-2:] == ["MONITOR", "IDLE"]
+    made = result.executed_trajectory.joint_trajectory
+    assert list(made.joint_names) == list(JOINTS)
+    assert len(made.points) > 10
+    assert list(made.points[0].positions) == pytest.approx(HOME, abs=0.01)
+    assert list(made.points[-1].positions) == pytest.approx(robot.joint_state().position, abs=0.01)
+    times = [point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec for point in made.points]
+    assert all(later > earlier for earlier, later in itertools.pairwise(times))
 
 
 def test_a_plan_is_refused_once_the_scene_has_changed(arm: Stack, robot: Robot) -> None:

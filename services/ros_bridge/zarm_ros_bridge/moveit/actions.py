@@ -23,6 +23,7 @@ from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
 from zarm_ros_bridge.goals import Run
 from zarm_ros_bridge.moveit.error_codes import Refusal, error_code
+from zarm_ros_bridge.moveit.executed import executed_trajectory, measured
 from zarm_ros_bridge.moveit.gripper_groups import GripperGroups
 from zarm_ros_bridge.moveit.requests import MotionPlanRequests
 from zarm_ros_bridge.moveit.scene import PlanningScenes
@@ -122,9 +123,10 @@ class Actions:
         result.trajectory_start = trajectory_start(plan)
         result.planned_trajectory = robot_trajectory(plan, self._frames.links.base)
         if not goal.planning_options.plan_only:
-            self._started(run, ExecuteRequest(plan_id=plan.plan_id), replan=goal.planning_options.replan)
-            self._follow(run, run.name, MoveGroup.Feedback)
-            result.executed_trajectory = result.planned_trajectory
+            with measured(self._engine) as states:
+                self._started(run, ExecuteRequest(plan_id=plan.plan_id), replan=goal.planning_options.replan)
+                self._follow(run, run.name, MoveGroup.Feedback)
+            result.executed_trajectory = executed_trajectory(states, self._frames.links.base)
         run.handle.publish_feedback(MoveGroup.Feedback(state="IDLE"))
         return result
 
