@@ -113,11 +113,12 @@ $(VENV)/.ros_packages: $(PINNED) | $(BIN)/python
 	@touch $@
 
 # Compiles the kernels of planner, servo and perception once; later runs load them from the cache.
-$(VENV)/.kernels: $(VENV)/.planner $(wildcard libs/*/*/kernels/*.py services/*/*/kernels/*.py)
-	@echo "compiling the kernels, once ..."
-	@$(BIN)/python -m zarm_planner.warm_up
-	@$(BIN)/python -m zarm_servo.warm_up
-	@$(BIN)/python -m zarm_perception.warm_up
+$(VENV)/.kernels: $(patsubst %,$(VENV)/.kernels_%,planner servo perception)
+	@touch $@
+
+$(VENV)/.kernels_%: $(VENV)/.planner $(wildcard libs/*/*/kernels/*.py services/*/*/kernels/*.py)
+	@echo "compiling the kernels of the $*, once ..."
+	@$(BIN)/python -m zarm_$*.warm_up
 	@touch $@
 
 $(BIN)/python:
