@@ -12,7 +12,7 @@ from viser import Icon
 from viser.transforms import SE3, SO3
 
 from zarm.motions import Goal as Target
-from zarm.values import invalid, pose_of
+from zarm.values import Pose, invalid, pose_of
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Plan
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -41,7 +41,6 @@ class MotionPanel:
         self._panels, self._goal, self._poses, self._forget_plan = panels, goal, poses, forget_plan
         self._plan: Plan | None = None
         self._timed: TimedTrajectory | None = None
-        self._waypoints = WaypointHandles(panels)
         self._shown = 0
         gui = panels.server.gui
         self._say = gui.add_markdown(NO_GOAL)
@@ -66,7 +65,8 @@ class MotionPanel:
             self._add_joints()
         with gui.add_folder("Tip", expand_by_default=False):
             self._add_numbers()
-        with gui.add_folder("Waypoints", expand_by_default=False):
+        with gui.add_folder("Waypoints", expand_by_default=False) as folder:
+            self._waypoints = WaypointHandles(panels, folder)
             self._add_waypoints()
         with gui.add_folder("Way", expand_by_default=False):
             self._way = WayOptions(panels)
@@ -179,12 +179,11 @@ class MotionPanel:
     def _aim_at(self, joints: np.ndarray[Any, np.dtype[np.float64]]) -> None:
         self._goal.at(joints)
 
-    def _target(self) -> Target:
-        """The goal: of the joints that move with the group, unless others are to move too."""
-        aim = self._goal.now
-        through, pose = self._waypoints.poses, pose_of(message_of(aim.pose))
+    def _target(self, pose: Pose) -> Target | None:
+        """The goal: of the joints that move with the group, unless others are to move too. None where a program leads to the pose."""
+        aim, through = self._goal.now, self._waypoints.passed
         if through or self._way.in_use or self._options.to_pose or aim.branch is None:
-            return self._way.target(through, pose)
+            return self._way.chosen.target(through, pose)
         joints = aim.branch.joints
         return tuple((joints[self._panels.moving] if self._of_group() else joints).tolist())
 
@@ -198,11 +197,16 @@ class MotionPanel:
         self._plan = None  # if planning fails, the previous plan must neither be executed nor be shown
         self._scrub.disabled = True
         self._forget_plan()
-        options = self._options
+        options, robot = self._options, self._panels.robot
         group = self._panels.group if self._of_group() else None
-        plan = self._panels.robot.plan(
-            self._target(), path_constraint=options.path_constraint, group=group, **options.settings
-        )
+        pose = pose_of(message_of(self._goal.now.pose))
+        target = self._target(pose)
+        if target is None:
+            plan = robot.plan_program(
+                self._way.chosen.segments(self._waypoints.passed, pose, group), **options.of_program
+            )
+        else:
+            plan = robot.plan(target, path_constraint=options.path_constraint, group=group, **options.settings)
         self._take(plan)
         return plan
 

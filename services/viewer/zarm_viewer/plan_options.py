@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, cast
 
-from zarm.planner import Settings
+from zarm.planner import ProgramOptions, Settings
 from zarm.values import AXES, Axis, PathConstraint
 from zarm_contract.messages import PlannerSettings
 from zarm_viewer.controls import put
@@ -43,6 +43,17 @@ class PlanOptions:
     def replan(self) -> bool:
         """Whether the servo may replan in motion."""
         return self._replan.value
+
+    @property
+    def of_program(self) -> ProgramOptions:
+        """Those of the chosen settings that a program has."""
+        return ProgramOptions(
+            velocity_scale=self._velocity.value,
+            acceleration_scale=self._acceleration.value,
+            margin=self._margin.value,
+            timeout=self._timeout.value,
+            max_attempts=int(self._attempts.value),
+        )
 
     @property
     def settings(self) -> Settings:

@@ -4,24 +4,26 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from viser import LabelHandle, TransformControlsHandle
+from viser import GuiDropdownHandle, GuiFolderHandle, LabelHandle, TransformControlsHandle
 from viser.transforms import SE3
 
-from zarm.values import Pose, pose_of
+from zarm.values import pose_of
 from zarm_viewer.kinematics import message_of, pose_at
 from zarm_viewer.panel_context import PanelContext
+from zarm_viewer.way_options import MIDDLE, QUICKEST, STRAIGHT, Passed
 
 
 class _Handle(NamedTuple):
     gizmo: TransformControlsHandle
     label: LabelHandle
+    way: GuiDropdownHandle[str]
 
 
 class WaypointHandles:
-    """Poses of the tip, passed in the order of their numbers before the goal is reached."""
+    """Poses of the tip, passed in the order of their numbers before the goal is reached; the ways to them are chosen in a `folder`."""
 
-    def __init__(self, panels: PanelContext) -> None:
-        self._panels = panels
+    def __init__(self, panels: PanelContext, folder: GuiFolderHandle) -> None:
+        self._panels, self._folder = panels, folder
         self._handles: list[_Handle] = []
 
     def add(self, pose: SE3) -> None:
@@ -36,7 +38,9 @@ class WaypointHandles:
             position=pose.translation(),
             wxyz=pose.rotation().wxyz,
         )
-        self._handles.append(_Handle(gizmo, scene.add_label(f"{node}/label", f"{number}")))
+        with self._folder:
+            way = self._panels.server.gui.add_dropdown(f"way to {number}", (QUICKEST, STRAIGHT, MIDDLE))
+        self._handles.append(_Handle(gizmo, scene.add_label(f"{node}/label", f"{number}"), way))
 
     def clear(self) -> None:
         """Remove all."""
@@ -50,6 +54,6 @@ class WaypointHandles:
             handle.gizmo.visible = seen
 
     @property
-    def poses(self) -> tuple[Pose, ...]:
-        """Their current poses in the base frame."""
-        return tuple(pose_of(message_of(pose_at(handle.gizmo))) for handle in self._handles)
+    def passed(self) -> tuple[Passed, ...]:
+        """Their current poses in the base frame, and the ways to them."""
+        return tuple(Passed(pose_of(message_of(pose_at(one.gizmo))), one.way.value) for one in self._handles)
