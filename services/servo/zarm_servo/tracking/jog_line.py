@@ -17,6 +17,10 @@ _ASIDE = 0.1
 """Share of its twist by which the tip may still move otherwise where the line begins."""
 _SHARE = 0.8
 """Share of the joints' acceleration with which the tip changes its speed on the line; the rest is to keep it there."""
+_LOST = 0.01
+"""m and rad off the line from which another one begins: a singularity has led the tip aside, and nobody expects it to come back."""
+_SLOWLY = 0.02
+"""m/s and rad/s at which the tip may come back to its line, if it does not move faster along it."""
 _DAMPING = 0.04
 """Damping of the inverse Jacobian, as near singularities."""
 
@@ -68,7 +72,11 @@ class JogLine:
         self._pose[:3, 3] += step[:3]
         self._pose[:3, :3] = rotated_by(step[None, 3:])[0] @ self._pose[:3, :3]
         off = np.concatenate((self._pose[:3, 3] - tip[:3, 3], rotation_vector(self._pose[:3, :3] @ tip[:3, :3].T)))
-        return replace(target, twist=self._speed * along + GAIN * (off - along * (along @ off)), frame="base")
+        off -= along * (along @ off)
+        if (distance := float(np.linalg.norm(off))) > _LOST:
+            self._pose, off = tip.copy(), np.zeros(6)
+        back = min(GAIN, max(abs(self._speed), _SLOWLY) / max(distance, 1e-12)) * off
+        return replace(target, twist=self._speed * along + back, frame="base")
 
 
 def _parallel(direction: TwistTarget, target: TwistTarget) -> bool:
