@@ -41,6 +41,7 @@ class ChunkTracking:
         self._controller, self._grip, self._measured = controller, grip, measured
         self._times, self._next = StepTimes(), time.monotonic()
         self._apart = 0
+        self._last: Reference | None = None
 
     @property
     def sequence(self) -> int:
@@ -98,7 +99,11 @@ class ChunkTracking:
         self._next = when = self._times.next(PERIOD * rate, expected)
         reference = self._inbox.at(when)
         if reference is None:
+            if self._last is not None:  # the gripper is behind the steps, which are ahead of now
+                self._grip.follow(self._last, when)
+                self._last = None
             return None
+        self._last = reference
         self._grip.follow(reference, time.monotonic())
         return self._along(reference, when, rate, around, limitation)
 
