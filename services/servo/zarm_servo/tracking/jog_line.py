@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from zarm_geometry.frames import rotated_by
 from zarm_geometry.robot_model import RobotModel
-from zarm_servo.tracking.targets import GAIN, TwistTarget, rotation_vector
+from zarm_servo.tracking.targets import GAIN, TwistTarget, moved, rotation_vector
 from zarm_trajectory.quintic import Array
 
 _PARALLEL = 0.9999
@@ -54,23 +53,22 @@ class JogLine:
             return target
         tip = model.fk_tip(state[0], target.group)
         jacobian = model.tip_jacobian(state[0], target.group)
-        moved = jacobian @ state[1]
+        velocity = jacobian @ state[1]
         if not self._settled:
             self._pose = tip.copy()
         along = self._direction.in_base(self._pose)
         along /= np.linalg.norm(along)
         wanted = float(along @ target.in_base(self._pose))
         if not self._settled:
-            self._speed = float(along @ moved)
-            self._settled = bool(np.linalg.norm(moved - self._speed * along) <= _ASIDE * abs(wanted))
+            self._speed = float(along @ velocity)
+            self._settled = bool(np.linalg.norm(velocity - self._speed * along) <= _ASIDE * abs(wanted))
         if not self._settled:
             return target
-        rates = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + _DAMPING**2 * np.eye(6), along)
-        change = dt * _SHARE * float((acceleration / np.maximum(np.abs(rates), 1e-9)).min())
-        self._speed = float(np.clip(wanted, self._speed - change, self._speed + change))
-        step = dt * (along @ moved) * along
-        self._pose[:3, 3] += step[:3]
-        self._pose[:3, :3] = rotated_by(step[None, 3:])[0] @ self._pose[:3, :3]
+        if self._speed != wanted:
+            rates = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + _DAMPING**2 * np.eye(6), along)
+            change = dt * _SHARE * float((acceleration / np.maximum(np.abs(rates), 1e-9)).min())
+            self._speed = min(max(wanted, self._speed - change), self._speed + change)
+        self._pose = moved(self._pose, float(along @ velocity) * along, dt)
         off = np.concatenate((self._pose[:3, 3] - tip[:3, 3], rotation_vector(self._pose[:3, :3] @ tip[:3, :3].T)))
         off -= along * (along @ off)
         if (distance := float(np.linalg.norm(off))) > _LOST:

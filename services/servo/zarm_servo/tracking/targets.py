@@ -82,13 +82,7 @@ class PoseTarget:
 
     def after(self, passed: float) -> Array:
         """Its expected pose (4, 4) `passed` s later."""
-        pose = self.pose.copy()
-        pose[:3, 3] += passed * self.velocity[:3]
-        angle = passed * float(np.linalg.norm(self.velocity[3:]))
-        if angle > 0.0:
-            cross = _cross(self.velocity[3:] * (passed / angle))  # Rodrigues' formula
-            pose[:3, :3] = (np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross) @ pose[:3, :3]
-        return pose
+        return moved(self.pose, self.velocity, passed)
 
 
 @dataclass(frozen=True)
@@ -214,6 +208,17 @@ def _cross(vector: Array) -> Array:
     """The matrix (3, 3) whose product with any b is the cross product of `vector` (3,) with b."""
     x, y, z = vector
     return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
+
+
+def moved(pose: Array, twist: Array, passed: float) -> Array:
+    """A pose (4, 4) after `passed` s with a twist (6,), m/s and rad/s in the base frame."""
+    after = pose.copy()
+    after[:3, 3] += passed * twist[:3]
+    angle = passed * math.sqrt(float(twist[3:] @ twist[3:]))
+    if angle > 0.0:
+        cross = _cross(twist[3:] * (passed / angle))  # Rodrigues' formula
+        after[:3, :3] = (np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross) @ pose[:3, :3]
+    return after
 
 
 def rotation_vector(turn: Array) -> Array:
