@@ -41,6 +41,8 @@ def held_by(hold: Hold) -> str:
     found = hold.obstruction
     if hold.reason == "gripper":
         return "its gripper moves"
+    if hold.reason == "output":
+        return "an output is being switched"
     if found is None:
         return "no servo guards it, and the descriptor demands one"
     late = "" if found.avoidable else ", and contact could not be avoided any more"

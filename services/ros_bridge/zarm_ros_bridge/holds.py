@@ -14,6 +14,8 @@ def _reason(hold: Hold) -> str:
     found = hold.obstruction
     if hold.reason == "gripper":
         return "its gripper moves"
+    if hold.reason == "output":
+        return "an output is being switched"
     if hold.reason == "no_guard":
         return "no servo is heard, and this robot moves under one alone (execution.guard); start the servo"
     if found is None:
