@@ -31,6 +31,8 @@ def rotations(q: Array) -> Array:
 
 def rotated_by(vectors: Array) -> Array:
     """The rotation matrices (n, 3, 3) of rotation vectors (n, 3) in rad, by Rodrigues' formula."""
+    if not vectors.any():
+        return np.broadcast_to(np.eye(3), (len(vectors), 3, 3))
     square = np.einsum("ij,ij->i", vectors, vectors)
     angle = np.sqrt(square)
     small = angle < 1e-4

@@ -38,6 +38,8 @@ _RAMP_FACTOR = 2.0
 """Factor by which it may grow faster than that: no limit of the robot."""
 _PARTS = 4
 """Parts of each interval between stations by which lengths are measured."""
+_SHARE_STEP = 0.004
+"""s between two looks at how fast the tip moves."""
 _AT_SPEED = 0.99
 """Share of a speed that counts as it."""
 PROGRESS = 3
@@ -167,7 +169,7 @@ class Progress:
 
     def _speed_share(self, curve: ToolCurve) -> float:
         """The share (0..1) of the way on which the tip moves or turns as fast as it may."""
-        times = np.linspace(0.0, self.state.duration, max(200, int(self.state.duration / 0.002)))
+        times = np.linspace(0.0, self.state.duration, max(200, int(self.state.duration / _SHARE_STEP)))
         position, velocity, _ = self.state.sample(times)
         full = (velocity[:, 1] >= _AT_SPEED * curve.speed) | (velocity[:, 2] >= _AT_SPEED * curve.rotational_speed)
         step = np.diff(position[:, 0])

@@ -196,15 +196,17 @@ def _straight(a: Array, b: Array, limits: Limits, dt: float, shortest: float) ->
 
 
 class _ToppraPath:
-    """A curve in TOPPRA's interface."""
+    """A curve in TOPPRA's interface, which asks for positions and two derivatives at the same points `s` (m,), one after the other."""
 
-    def __init__(self, curve: TimedTrajectory) -> None:
-        self._curve = curve
+    def __init__(self, curve: TimedTrajectory, s: Array) -> None:
+        self._curve, self._s = curve, s
+        self._states = curve.states if np.array_equal(s, curve.time) else curve.sample(s)
         self.dof = curve.position.shape[1]
         self.path_interval = curve.time[[0, -1]]
 
     def __call__(self, s: Array, order: int = 0) -> Array:
-        return np.asarray(self._curve.sample(s)[order])
+        states = self._states if np.array_equal(s, self._s) else self._curve.sample(s)
+        return np.asarray(states[order])
 
 
 def fastest_along(
@@ -228,7 +230,7 @@ def fastest_along(
     )
     toppra = TOPPRA(
         [velocity, _acceleration_constraint(tuple(used.acceleration))],
-        _ToppraPath(curve),
+        _ToppraPath(curve, s),
         gridpoints=s,
         solver_wrapper="seidel",
     )
