@@ -332,7 +332,7 @@ def test_a_chunk_that_cannot_be_followed_is_refused_by_field(cell: Cell, change:
 def test_chunks_of_a_session_that_is_not_open_are_refused(cell: Cell) -> None:
     with cell.robot.track(chunks=True) as tracking:
         pass
-    with pytest.raises(Unavailable, match="has ended|is not open"):
+    with pytest.raises(Unavailable, match=r"has ended|is not open"):
         tracking.follow(np.tile(HOME, (5, 1)), dt=0.1)
     points = JointPoints(kind="joints", position=(tuple(HOME),) * 2)
     chunk = ServoChunk(goal_id=tracking.goal_id, sequence=1, stamp=time.time(), dt=0.1, points=points)
