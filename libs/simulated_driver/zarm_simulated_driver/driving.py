@@ -69,8 +69,8 @@ def driving(service: Service, bus: Bus, axes: Axes, arm: Arm, hands: Hands) -> I
         outputs = bus.publisher(keys.driver_output_state)
 
         def switch(_: str, command: DriverOutputCommand) -> None:
-            output = service.robot.descriptor.outputs[command.output]
-            if options.ros and output.service is not None:
+            output = service.robot.descriptor.outputs.get(command.output)
+            if output is None or (options.ros and output.service is not None):
                 return  # that is not this driver's
             if (state := driver.switch(command)) is not None:
                 outputs.put(state)

@@ -215,6 +215,12 @@ def test_free_motions_blend_past_the_goals_between_them(handlers: Handlers) -> N
     assert tip_at(plan, plan.trajectory.duration)[:3, 3] == pytest.approx(at(0.0, 0.0, -0.2), abs=1e-5)
 
 
+def test_smallest_blend_of_free_motions_is_planned(handlers: Handlers) -> None:
+    over = JointGoal(kind="joints", position=(0.3, *HOME[1:]))
+    plan, _ = planned(handlers, blending(over, 1e-4), move(JointGoal(kind="joints", position=HOME)))
+    assert joints_at(plan, plan.segments[0].end)[0] == pytest.approx(0.3, abs=1e-3)
+
+
 def test_error_in_a_blend_names_its_own_segment(handlers: Handlers) -> None:
     straight = ArcGoal(kind="arc", position=at(0.0, 0.3, 0.0), via=at(0.0, 0.2, 0.0))
     with pytest.raises(InvalidRequest, match="segment 1, bend: the start, via and position lie on a line") as refused:
