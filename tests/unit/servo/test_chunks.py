@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,6 +24,7 @@ from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_servo.kernels.step import PERIOD
+from zarm_servo.tracking import chunk_tracking
 from zarm_servo.tracking.chunk_inbox import JUMP, ChunkInbox, Taken
 from zarm_servo.tracking.chunk_tracking import ChunkTracking
 from zarm_servo.tracking.controller import Controller, Limitation, Surroundings
@@ -353,3 +356,17 @@ def test_a_target_of_joints_is_later_where_its_velocity_and_acceleration_lead() 
     target = JointTarget(HOME, np.full(6, 0.2), np.full(6, 0.1))
     assert target.after(0.5).position == pytest.approx(HOME + 0.1 + 0.0125)
     assert target.after(0.5).velocity == pytest.approx(np.full(6, 0.25))
+
+
+def test_gripper_gets_the_last_opening_though_the_steps_end_before_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    follower, asked = Follower(), list[float]()
+    monkeypatch.setattr(chunk_tracking.time, "monotonic", lambda: follower.time - 0.05)  # steps are ahead of now
+    follower.tracking._grip = SimpleNamespace(follow=lambda chunk, time: asked.append(chunk.opening(time)))  # type: ignore[assignment]
+    follower.take(chunk_of(np.tile(HOME, (10, 1)), 0.0))
+    follower.inbox._references = [
+        replace(one, gripper="hand", openings=np.linspace(0.08, 0.02, len(one.motion.time)))
+        for one in follower.inbox._references
+    ]
+    follower.run(1.0)
+    assert asked[-2] > 0.021
+    assert asked[-1] == pytest.approx(0.02)
