@@ -19,7 +19,7 @@ class Move(Message):
 
     The robot, or what it carries, may touch the objects named in `touch` on the way. A line or an arc with a `blend` (m) is left so far
     before its end, without stopping, for the line or arc of the next segment, which has the same options. A motion to joints or a pose with a
-    `blend` passes its goal within that distance, without stopping, on the way to those of the next segment. `group` as in `PlanRequest`.
+    `blend` passes its goal within that distance (0.5 mm to 0.1 m) and 0.5 rad, without stopping, on the way to those of the next segment. `group` as in `PlanRequest`.
     """
 
     kind: Literal["move"]
