@@ -62,7 +62,7 @@ class Group:
 
     def scene(self, scene: PlanningScene, q: Array) -> PlanningScene:
         """A scene of the whole robot as one of the group, whose other joints stand as in `q` (dof,)."""
-        model = scene.model.group(self.names, q)
+        model = scene.exact.model.group(self.names, q)  # what was measured of it once is kept there
         grouped = PlanningScene(scene.revision, model, scene.world, ExactScene(model, scene.exact.world))
         return grouped.with_self_margin(scene.self_margin)
 

@@ -37,6 +37,7 @@ from zarm_geometry.exact import ExactScene
 from zarm_geometry.frames import pose_of
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
+from zarm_planner.group import Group
 from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
 from zarm_trajectory.limits import Limits
@@ -266,3 +267,14 @@ def test_a_robot_with_one_arm_has_no_groups(tmp_path: Path) -> None:
     handlers = Handlers(panda, "panda", SceneStore(tmp_path), lambda: home)
     with pytest.raises(InvalidRequest, match="has no group left; it is one arm: leave the group out"):
         handlers.plan(request(pose(0.4, 0.0, 0.4), group="left"))
+
+
+def test_what_was_measured_of_the_whole_robot_serves_its_groups(pandas: Handlers) -> None:
+    """The room between its links and covers of their shapes take 0.3 s, which no plan of a group pays again."""
+    scene = pandas.scenes.present(margin=0.005, self_margin=0.003)
+    room = scene.exact.model.pair_room
+    group = Group.of(PANDAS.robot, "left", pose(0.45, 0.25, 0.4))
+    assert group is not None
+    whole = group.scene(scene, HOME).exact.model.whole
+    assert whole is not None
+    assert whole.model.pair_room is room
