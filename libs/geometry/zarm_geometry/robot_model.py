@@ -125,6 +125,16 @@ class RobotModel:
         """The joint that carries a link, -1 for the base, and the link (4, 4) in that joint's frame. Raises
         InvalidRequest for a link that is not of this robot, or is moved by other joints too.
         """
+        if link not in self._mounts:
+            self._mounts[link] = self._mount(link)
+        return self._mounts[link]
+
+    @cached_property
+    def _mounts(self) -> dict[str, Place]:
+        """By link, once it was asked for."""
+        return {}
+
+    def _mount(self, link: str) -> Place:
         if self.whole is not None:
             return _placed(self.whole.model.mount(link), self.whole.places)
         descriptor = self.robot.descriptor
