@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import GoalState, SceneEdit, SceneEdited
-from zarm_planner.handlers import ChangeAt
+from zarm_planner.programs import ChangeAt
 
 log = logging.getLogger(__name__)
 

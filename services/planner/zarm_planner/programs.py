@@ -79,6 +79,8 @@ _CANDIDATES = 16
 Scales = tuple[float | None, float | None]
 """Shares of the limits of velocity and acceleration, or None for those of the request."""
 SceneChange = AttachObject | DetachObject
+ChangeAt = tuple[float, SceneChange]
+"""What a program attaches or detaches at which time (s)."""
 
 
 class Stage(Protocol):

@@ -39,8 +39,9 @@ from zarm_executor.checks import executable
 from zarm_geometry.frames import pose_of
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
-from zarm_planner.handlers import ChangeAt, Handlers
+from zarm_planner.handlers import Handlers
 from zarm_planner.program_changes import ProgramChanges
+from zarm_planner.programs import ChangeAt
 from zarm_planner.scene.store import SceneStore
 
 ROBOT = load_robot("doosan_m1013")
