@@ -34,7 +34,7 @@ from zarm_perception.blocks import Blocks
 from zarm_perception.cameras import CameraSource
 from zarm_perception.robot_shape import RobotShapes
 from zarm_perception.voxel_map import VoxelMap
-from zarm_physics_sim.cameras import DepthRenderer
+from zarm_physics_sim.cameras import CameraRenderer
 from zarm_physics_sim.simulation import Simulation
 from zarm_physics_sim.world import World as PhysicalWorld
 from zarm_planner.handlers import Handlers
@@ -120,7 +120,7 @@ def main() -> None:
         for _ in range(arguments.scenes):
             things = clutter(rng)
             simulation = Simulation(ROBOT, PhysicalWorld({item.name: item for item in things}), HOME)
-            renderer = DepthRenderer(simulation, 640, 480)
+            renderer = CameraRenderer(simulation, 640, 480)
             voxels, store, check = (
                 VoxelMap(np.array((-1.0, -1.0, -0.25)), np.array((1.0, 1.0, 1.25)), 0.02),
                 VoxelBlocks(),

@@ -568,6 +568,7 @@ EXAMPLES: tuple[Message, ...] = (
     m.CameraChange(remove="wrist"),
     m.ImageHeader(stamp=1.75e9, width=640, height=480, encoding="16UC1"),
     m.CloudHeader(stamp=1.75e9, points=65536),
+    m.ColorHeader(stamp=1.75e9, width=640, height=480, encoding="rgb8"),
     m.SavedMap(lower=(-1.0, -1.0, -0.25), resolution=0.02, shape=(2, 1, 1), states="eJxjAAAAAwAC"),
     m.LoadedMap(occupied=4921, outside=12),
     m.VoxelBlock(position=(-0.99, -0.99, -0.24), resolution=0.02, cells="gA" + "A" * 681 + "="),

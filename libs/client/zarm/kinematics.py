@@ -15,6 +15,7 @@ from zarm_contract.messages import (
     IkRequest,
     IkSolutions,
     PoseGoal,
+    TipFrame,
 )
 from zarm_contract.messages import Pose as PoseMessage
 
@@ -28,9 +29,19 @@ BATCH_SECONDS = 65.0
 class Kinematics(Calls):
     """Forward and inverse kinematics, and distances, as the planner computes them."""
 
-    def fk(self, joints: Rows, *, group: str | None = None, timeout: float = ANSWER_SECONDS) -> list[Pose]:
-        """The tip's pose at each row of the robot's joint positions (rad), up to 1000 of them; with a `group`, that of its tip."""
-        request = made(FkRequest, joints=rows(joints, "joints"), group=group)
+    def fk(
+        self,
+        joints: Rows,
+        *,
+        group: str | None = None,
+        tip: str | TipFrame | None = None,
+        timeout: float = ANSWER_SECONDS,
+    ) -> list[Pose]:
+        """The tip's pose at each row of the robot's joint positions (rad), up to 1000 of them; with a `group`, that of its tip. `tip` is another frame
+        of the robot: the name of a link or of an attached object, or a `zarm.TipFrame`.
+        """
+        frame = made(TipFrame, link=tip) if isinstance(tip, str) else tip
+        request = made(FkRequest, joints=rows(joints, "joints"), group=group, tip=frame)
         poses = self._ask(self._keys.fk, request, timeout=timeout).poses
         return [pose_of(pose) for pose in poses]
 

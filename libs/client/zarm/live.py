@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 from zarm.interrupts import SLICE, Interrupts
 from zarm_contract.messages import Message
 
-M = TypeVar("M", bound=Message)
+M = TypeVar("M", bound=Message | bytes)
 
 
 class Newest(Generic[M]):

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import time
 from base64 import b64decode
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zarm.calls import Calls
 from zarm.clusters import boxes_around
+from zarm.live import Newest
+from zarm.values import made
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest, Unavailable
-from zarm_contract.image import PIXEL_BYTES, encode_image
+from zarm_contract.image import PIXEL_BYTES, decode_color, encode_image
 from zarm_contract.messages import (
     Camera,
     CameraChange,
     CloudHeader,
+    ColorHeader,
     Cuboid,
     ImageHeader,
     LoadedMap,
@@ -28,7 +32,8 @@ from zarm_contract.messages import (
 from zarm_contract.messages.perception import BLOCK
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
 
 
 class Perception(Calls):
@@ -62,6 +67,45 @@ class Perception(Calls):
             )
         header = ImageHeader.model_validate({"stamp": stamp, "width": width, "height": height, "encoding": encoding})
         self.connection.publisher(self._keys.depth(camera)).put_encoded(encode_image(header, pixels))
+
+    def publish_color(self, camera: str, stamp: float, pixels: ArrayLike) -> None:
+        """Publish an image, registered to the depth, that was taken at `stamp` (Unix time, s): bytes of grey (h, w) or of red, green and blue (h, w, 3)."""
+        import numpy as np
+
+        found = np.ascontiguousarray(pixels)
+        if found.dtype != np.uint8 or found.ndim not in (2, 3) or found.shape[2:] not in ((), (3,)):
+            raise InvalidRequest(
+                f"{found.dtype} of the shape {found.shape}; give bytes, (h, w) or (h, w, 3)", field="pixels"
+            )
+        encoding = "mono8" if found.ndim == 2 else "rgb8"
+        header = made(ColorHeader, stamp=stamp, width=found.shape[1], height=found.shape[0], encoding=encoding)
+        self.connection.publisher(self._keys.color(camera)).put_encoded(encode_image(header, found.tobytes()))
+
+    def color(self, camera: str, *, after: float = 0.0, timeout: float = 10.0) -> NDArray[np.uint8]:
+        """The next colour image of a camera that was taken after a Unix time (s): bytes of grey (h, w), or of red, green and blue (h, w, 3). Raises Unavailable if
+        none comes within `timeout` s.
+        """
+        import numpy as np
+
+        newest: Newest[bytes] = Newest()
+        end = self.connection.bus.listen(self._keys.color(camera), lambda _, payload: newest.put(payload))
+        until = time.monotonic() + timeout
+        try:
+            while (left := until - time.monotonic()) > 0.0:
+                payload = self.connection.interrupts.run_interruptibly(partial(newest.take, left))
+                if payload is None:
+                    break
+                header, pixels = decode_color(payload)
+                if header.stamp > after:
+                    shape = (
+                        (header.height, header.width, 3) if header.encoding == "rgb8" else (header.height, header.width)
+                    )
+                    return np.frombuffer(pixels, np.uint8).reshape(shape)
+        finally:
+            end()
+        raise Unavailable(
+            f"no colour image of the camera {camera} came within {timeout:g} s; let it publish them on perception/color/{camera}"
+        )
 
     def publish_cloud(self, camera: str, stamp: float, points: ArrayLike) -> None:
         """Publish a cloud that was taken at `stamp` (Unix time, s): points (n, 3) in m, in the frame of the camera or LiDAR."""

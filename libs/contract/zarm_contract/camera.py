@@ -47,6 +47,8 @@ class DescribedCamera(Section):
     """ROS topic with its depth images or clouds, which the bridge takes. Left out: they come on Zenoh."""
     topic_type: TopicType = "sensor_msgs/msg/Image"
     """The type of the ROS topic."""
+    color_topic: Annotated[str, Field(min_length=1, max_length=255)] | None = None
+    """ROS topic with its colour or grey images, `rgb8`, `bgr8` or `mono8`, registered to the depth."""
 
     @model_validator(mode="after")
     def _checked(self) -> Self:

@@ -7,32 +7,36 @@ from typing import TypeVar
 
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import CloudHeader, ImageHeader
+from zarm_contract.messages import CloudHeader, ColorHeader, ImageHeader
 
-M = TypeVar("M", ImageHeader, CloudHeader)
+M = TypeVar("M", ImageHeader, ColorHeader, CloudHeader)
 
 PIXEL_BYTES: Mapping[str, int] = {"16UC1": 2, "32FC1": 4}
-"""Bytes of a pixel in each encoding."""
+"""Bytes of a pixel in each encoding of depth."""
+COLOR_BYTES: Mapping[str, int] = {"mono8": 1, "rgb8": 3}
+"""Bytes of a pixel in each encoding of colour."""
 POINT_BYTES = 12
 """Bytes of a point: x, y, z."""
 _MOST = 1024
 """Longest header, in bytes."""
 
 
-def encode_image(header: ImageHeader | CloudHeader, data: bytes) -> bytes:
+def encode_image(header: ImageHeader | ColorHeader | CloudHeader, data: bytes) -> bytes:
     """An image from its pixels, row by row, or a cloud from its points, in little-endian."""
     return encode(header) + b"\n" + data
 
 
 def decode_image(payload: bytes) -> tuple[ImageHeader, memoryview]:
-    """Header and pixels of an image. Raises InvalidRequest if these are not as many as the header says."""
+    """Header and pixels of a depth image. Raises InvalidRequest if these are not as many as the header says."""
     header, pixels = _split(payload, ImageHeader, "an image", "pixels")
-    expected = header.width * header.height * PIXEL_BYTES[header.encoding]
-    if len(pixels) != expected:
-        raise InvalidRequest(
-            f"{len(pixels)} bytes of pixels, where {header.width} x {header.height} of {header.encoding} take {expected}",
-            field="payload",
-        )
+    _check_count(header, pixels, PIXEL_BYTES)
+    return header, pixels
+
+
+def decode_color(payload: bytes) -> tuple[ColorHeader, memoryview]:
+    """Header and pixels of a colour image. Raises InvalidRequest if these are not as many as the header says."""
+    header, pixels = _split(payload, ColorHeader, "an image", "pixels")
+    _check_count(header, pixels, COLOR_BYTES)
     return header, pixels
 
 
@@ -45,6 +49,15 @@ def decode_cloud(payload: bytes) -> tuple[CloudHeader, memoryview]:
             field="payload",
         )
     return header, points
+
+
+def _check_count(header: ImageHeader | ColorHeader, pixels: memoryview, sizes: Mapping[str, int]) -> None:
+    expected = header.width * header.height * sizes[header.encoding]
+    if len(pixels) != expected:
+        raise InvalidRequest(
+            f"{len(pixels)} bytes of pixels, where {header.width} x {header.height} of {header.encoding} take {expected}",
+            field="payload",
+        )
 
 
 def _split(payload: bytes, model: type[M], what: str, follow: str) -> tuple[M, memoryview]:

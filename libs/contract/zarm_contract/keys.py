@@ -23,6 +23,7 @@ from zarm_contract.messages import (
     CheckResults,
     ChunkAccepted,
     CloudHeader,
+    ColorHeader,
     DriverCommand,
     DriverFault,
     DriverGripperCommand,
@@ -465,6 +466,15 @@ class Keys:
             "perception/depth/<camera>",
             ImageHeader,
             "Depth images of a camera: the header as a line of JSON, then the pixels.",
+            by=("perception", "driver", "bridge", "operator"),
+            droppable=True,
+        )
+    )
+    color = Family(
+        BinaryTopic(
+            "perception/color/<camera>",
+            ColorHeader,
+            "Colour images of a camera, registered to the depth: the header as a line of JSON, then the pixels.",
             by=("perception", "driver", "bridge", "operator"),
             droppable=True,
         )

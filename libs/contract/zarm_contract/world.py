@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from base64 import b64encode
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,10 @@ from zarm_contract.messages import (
     MovingObjects,
     NonNegative,
     Positive,
+    Texture,
     Vector3,
 )
+from zarm_contract.messages.physics import PNG
 from zarm_contract.section import Section, read_section
 
 WORLDS = Path(__file__).parent / "worlds"
@@ -71,6 +74,8 @@ class WorldFile(Section):
     """Objects whose surface runs, by name."""
     moving: list[Moving] = Field(default=[])
     """Objects that move by themselves."""
+    textures: dict[str, str] = Field(default={})
+    """What cuboids look like to cameras, by name: the PNG file, beside this one, of a picture on the side that their z axis leaves, with its first row at y = +."""
 
 
 def find_world(name_or_path: str) -> Path:
@@ -112,13 +117,27 @@ def load_world(name_or_path: str) -> LoadWorld:
             MovingObjects(names=tuple(one.objects), path=tuple(one.path), speed=one.speed, once=one.once)
             for one in file.moving
         ),
+        textures=tuple(
+            Texture(name=name, image=_read_picture(document, name, path)) for name, path in file.textures.items()
+        ),
     )
-    names = {"dynamic": list(file.dynamic), "conveyors": list(file.conveyors)}
+    names = {"dynamic": list(file.dynamic), "conveyors": list(file.conveyors), "textures": list(file.textures)}
     for field, message in world_faults(world):
         head = str(field[0])
         key = (head, names[head][int(field[1])]) if head in names else field
         raise InvalidRequest(document.fault(key, message))
     return world
+
+
+def _read_picture(document: Document, name: str, file: str) -> str:
+    path = document.path.parent / file
+    try:
+        picture = path.read_bytes()
+    except OSError as error:
+        raise InvalidRequest(document.fault(("textures", name), f"{path}: {error.strerror}")) from error
+    if not picture.startswith(PNG):
+        raise InvalidRequest(document.fault(("textures", name), f"{path} is not a PNG file"))
+    return b64encode(picture).decode()
 
 
 def world_faults(world: LoadWorld) -> Iterator[tuple[KeyPath, str]]:
@@ -138,5 +157,9 @@ def world_faults(world: LoadWorld) -> Iterator[tuple[KeyPath, str]]:
         elif name in seen:
             yield field, f"{name} is named twice; an object is dynamic, a conveyor or moving"
         seen.add(name)
+    for k, texture in enumerate(world.textures):
+        if kinds.get(texture.name) != "cuboid":
+            cuboids = [name for name, kind in kinds.items() if kind == "cuboid"]
+            yield ("textures", k), f"no cuboid is named {texture.name}; there are {', '.join(cuboids) or 'none'}"
     if len(kinds) < len(world.objects):
         yield ("objects",), "two objects have the same name"

@@ -349,12 +349,16 @@ class RobotModel:
 
     def fk_link(self, link: str, q: ArrayLike) -> Array:
         """The pose of a link (..., 4, 4) for joints (..., dof). Raises InvalidRequest for one that is not of this robot."""
-        joint, offset = self.mount(link)
-        return self._frames(q, np.array([joint], np.int32), offset[None])[..., 0, :, :]
+        return self.fk_frame(self.mount(link), q)
 
     def fk_joint(self, joint: int, q: ArrayLike) -> Array:
         """The frame (..., 4, 4) that a joint moves for joints (..., dof); -1 is the base."""
-        return self._frames(q, np.array([joint], np.int32), np.eye(4)[None])[..., 0, :, :]
+        return self.fk_frame((joint, np.eye(4)), q)
+
+    def fk_frame(self, place: Place, q: ArrayLike) -> Array:
+        """The pose (..., 4, 4) of a frame in that of a joint, see `mount`, for joints (..., dof)."""
+        joint, offset = place
+        return self._frames(q, np.array([joint], np.int32), offset[None])[..., 0, :, :]
 
     def tip_jacobian(self, q: ArrayLike, group: str | None = None) -> Array:
         """The Jacobian (6, dof) of the tip, or of the tip of a group, at `q` (dof,): m/rad and rad/rad (m/m and 0 if prismatic), base

@@ -1,11 +1,11 @@
-"""The depth cameras of the simulation: they see what is there, and publish it as real ones do."""
+"""The cameras of the simulation: they see what is there, and publish it as real ones do."""
 
 from __future__ import annotations
 
 import logging
 import threading
 import time
-from collections.abc import Callable
+from functools import cache
 from types import TracebackType
 from typing import Any, Self
 
@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.image import encode_image
-from zarm_contract.messages import Camera, Cameras, ImageHeader, Intrinsics
+from zarm_contract.keys import Keys
+from zarm_contract.messages import Camera, Cameras, ColorHeader, ImageHeader, Intrinsics
 from zarm_physics_sim.arm import PhysicalArm
 from zarm_physics_sim.simulation import Simulation
+from zarm_runtime.bus import Bus
 
 log = logging.getLogger(__name__)
 
@@ -29,13 +31,12 @@ _WAIT = 0.2
 """s until it is looked again whether there is a camera."""
 
 
-class DepthRenderer:
-    """Renders depth images of one simulation. To be used in one thread."""
+class CameraRenderer:
+    """Renders images of one simulation. To be used in one thread."""
 
     def __init__(self, simulation: Simulation, width: int, height: int) -> None:
         self.simulation = simulation
         self._renderer: Any = simulation.renderer(width, height, _NEAR, _FAR)
-        self._renderer.enable_depth_rendering()
 
     def close(self) -> None:
         """Give the graphics memory back."""
@@ -43,6 +44,17 @@ class DepthRenderer:
 
     def depth(self, camera: Camera, size: Intrinsics, data: Any) -> NDArray[np.uint16]:
         """The depths (h, w) in mm that a camera sees in the state `data`, 0 beyond what a pixel holds."""
+        self._point(camera, size, data)
+        self._renderer.enable_depth_rendering()
+        return _millimetres(self._renderer.render())
+
+    def color(self, camera: Camera, size: Intrinsics, data: Any) -> NDArray[np.uint8]:
+        """Red, green and blue (h, w, 3) of what a camera sees in the state `data`."""
+        self._point(camera, size, data)
+        self._renderer.disable_depth_rendering()
+        return np.asarray(self._renderer.render())
+
+    def _point(self, camera: Camera, size: Intrinsics, data: Any) -> None:
         renderer = self._renderer
         place, turn = self.simulation.frame(data, camera.link, camera.position, camera.orientation)
         renderer.update_scene(data)
@@ -53,7 +65,6 @@ class DepthRenderer:
             top, bottom = (size.cy + 0.5) / size.fy, -(size.height - 0.5 - size.cy) / size.fy
             eye.frustum_center, eye.frustum_width = 0.5 * (left + right) * _NEAR, 0.5 * (right - left) * _NEAR
             eye.frustum_top, eye.frustum_bottom = top * _NEAR, bottom * _NEAR
-        return _millimetres(renderer.render())
 
 
 def ranges(simulation: Simulation, camera: Camera, size: Intrinsics, data: Any) -> NDArray[np.uint16]:
@@ -72,11 +83,31 @@ def _millimetres(depth: NDArray[np.floating[Any]]) -> NDArray[np.uint16]:
     return np.where((depth >= 0.0) & (depth < _MOST), np.rint(1000.0 * depth), 0.0).astype(np.uint16)
 
 
-class SimulatedCameras:
-    """Renders each camera at its rate, in a thread of its own, and passes image after image to `publish(name, payload)`."""
+class ImagePublishers:
+    """Publishes the images of each camera."""
 
-    def __init__(self, arm: PhysicalArm, publish: Callable[[str, bytes], object]) -> None:
-        self._arm, self._publish = arm, publish
+    def __init__(self, bus: Bus, keys: Keys) -> None:
+        self._depth = cache(lambda camera: bus.publisher(keys.depth(camera)))
+        self._color = cache(lambda camera: bus.publisher(keys.color(camera)))
+
+    def put_depth(self, camera: str, image: bytes) -> None:
+        """Publish a depth image."""
+        self._depth(camera).put_encoded(image)
+
+    def put_color(self, camera: str, image: bytes) -> None:
+        """Publish a colour image."""
+        self._color(camera).put_encoded(image)
+
+    def wants_color(self, camera: str) -> bool:
+        """Whether anybody takes colour images of a camera; these cost ten times as much."""
+        return bool(self._color(camera).has_subscribers())
+
+
+class SimulatedCameras:
+    """Renders each camera at its rate, in a thread of its own."""
+
+    def __init__(self, arm: PhysicalArm, images: ImagePublishers) -> None:
+        self._arm, self._images = arm, images
         self._cameras: tuple[Camera, ...] = ()
         self._changed = threading.Event()
         self._ended = False
@@ -99,7 +130,7 @@ class SimulatedCameras:
         self._changed.set()
 
     def _run(self) -> None:
-        renderers: dict[tuple[int, int], DepthRenderer] = {}
+        renderers: dict[tuple[int, int], CameraRenderer] = {}
         due: dict[str, float] = {}
         try:
             while not self._ended:
@@ -117,7 +148,7 @@ class SimulatedCameras:
             for renderer in renderers.values():
                 renderer.close()
 
-    def _take(self, camera: Camera, renderers: dict[tuple[int, int], DepthRenderer]) -> None:
+    def _take(self, camera: Camera, renderers: dict[tuple[int, int], CameraRenderer]) -> None:
         size = camera.intrinsics
         if size is None:
             return
@@ -130,10 +161,14 @@ class SimulatedCameras:
             if known is None or known.simulation is not simulation:
                 if known is not None:
                     known.close()
-                known = renderers[shape] = DepthRenderer(simulation, *shape)
+                known = renderers[shape] = CameraRenderer(simulation, *shape)
                 simulation, data, stamp = self._arm.picture()
                 if simulation is not known.simulation:
                     return
             pixels = known.depth(camera, size, data)
+            if self._images.wants_color(camera.name):
+                colors = known.color(camera, size, data)
+                about = ColorHeader(stamp=stamp, width=size.width, height=size.height, encoding="rgb8")
+                self._images.put_color(camera.name, encode_image(about, colors.tobytes()))
         header = ImageHeader(stamp=stamp, width=size.width, height=size.height, encoding="16UC1")
-        self._publish(camera.name, encode_image(header, pixels.tobytes()))
+        self._images.put_depth(camera.name, encode_image(header, pixels.tobytes()))

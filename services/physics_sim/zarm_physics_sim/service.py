@@ -12,7 +12,7 @@ import numpy as np
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.world import load_world
 from zarm_physics_sim.arm import PhysicalArm
-from zarm_physics_sim.cameras import SimulatedCameras
+from zarm_physics_sim.cameras import ImagePublishers, SimulatedCameras
 from zarm_physics_sim.drives import drive_settings
 from zarm_physics_sim.hands import PhysicalHands
 from zarm_physics_sim.simulation import Simulation
@@ -50,14 +50,7 @@ def start(service: Service) -> Iterator[None]:
         surroundings = Surroundings(arm, world)
         bus.watch(service.keys.scene, lambda _, scene: surroundings.see(scene))
         bus.serve(service.keys.physics_world, surroundings.load)
-        images = {}
-
-        def publish(camera: str, image: bytes) -> None:
-            if camera not in images:
-                images[camera] = image_bus.publisher(service.keys.depth(camera))
-            images[camera].put_encoded(image)
-
-        cameras = SimulatedCameras(arm, publish)
+        cameras = SimulatedCameras(arm, ImagePublishers(image_bus, service.keys))
         bus.watch(service.keys.cameras, cameras.receive)
         with cameras, driving(service, bus, axes, arm, PhysicalHands(arm)):
             yield

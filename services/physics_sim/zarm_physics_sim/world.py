@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from base64 import b64decode
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
@@ -46,7 +47,7 @@ class Walk:
 @dataclass(frozen=True)
 class World:
     """Objects by name, and the height of a `floor` (m). Some are `dynamic`, others `belts` with the speed of their surface (m/s), or
-    go on `walks`; the rest is fixed. It is `believed` if it is what the scene says, nothing else being known.
+    go on `walks`; the rest is fixed. Cameras see `textures`, PNG files. It is `believed` if it is what the scene says, nothing else being known.
     """
 
     objects: Mapping[str, SceneObject] = field(default_factory=dict)
@@ -54,6 +55,7 @@ class World:
     dynamic: Mapping[str, DynamicObject] = field(default_factory=dict)
     belts: Mapping[str, float] = field(default_factory=dict)
     walks: Sequence[Walk] = ()
+    textures: Mapping[str, bytes] = field(default_factory=dict)
     believed: bool = False
 
     @classmethod
@@ -67,6 +69,7 @@ class World:
             {one.name: one for one in message.dynamic},
             {one.name: one.speed for one in message.conveyors},
             tuple(map(Walk.of, message.moving)),
+            {one.name: b64decode(one.image) for one in message.textures},
         )
 
     @property
@@ -90,6 +93,18 @@ class World:
             body.mocap = name in walking
             for geom in body.geoms if name in self.belts else ():
                 geom.surfacevel = [self.belts[name], 0.0, 0.0, 0.0, 0.0, 0.0]
+            for geom in body.geoms if name in self.textures else ():
+                geom.material = _add_material(spec, body.name, self.textures[name])
+
+
+def _add_material(spec: mujoco.MjSpec, name: str, picture: bytes) -> str:
+    """Add a material that looks like a picture; returns its name."""
+    file = f"{name}.png"
+    spec.assets = {**spec.assets, file: picture}
+    spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)
+    material = spec.add_material(name=name)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    return name
 
 
 def body_name(item: str) -> str:

@@ -83,6 +83,7 @@ from zarm_contract.messages.perception import (
     Cameras,
     CameraState,
     CloudHeader,
+    ColorHeader,
     ImageHeader,
     Intrinsics,
     LoadedMap,
@@ -98,6 +99,7 @@ from zarm_contract.messages.physics import (
     LoadWorld,
     MovingObjects,
     PhysicsState,
+    Texture,
 )
 from zarm_contract.messages.planner import (
     POSE_COMPONENTS,
@@ -224,6 +226,7 @@ __all__ = [
     "ClearScene",
     "Clipped",
     "CloudHeader",
+    "ColorHeader",
     "Contact",
     "Conveyor",
     "Cuboid",
@@ -348,6 +351,7 @@ __all__ = [
     "StrategyInfo",
     "StrategyRequest",
     "StreamChunk",
+    "Texture",
     "TipFrame",
     "TooNear",
     "ToolMotion",

@@ -45,7 +45,7 @@ class Camera(ShortMessage):
     from left to right, rows elevations from top to bottom, `fx` and `fy` pixels in a radian, and `cx`, `cy` the pixel that looks forward.
 
     Depths below `near` or beyond `far` (m) do not count; `rate` is how many images come in a second. From a `topic` of ROS, of the type `topic_type`, the bridge takes them;
-    where it sends images and the intrinsics are left out, these are taken from the `camera_info` beside it.
+    where it sends images and the intrinsics are left out, these are taken from the `camera_info` beside it. Colour images come from a `color_topic`.
     """
 
     name: CameraName
@@ -64,6 +64,7 @@ class Camera(ShortMessage):
     rate: Annotated[float, Field(gt=0, le=60)] = 10.0
     topic: Annotated[str, Field(min_length=1, max_length=255)] | None = None
     topic_type: TopicType = "sensor_msgs/msg/Image"
+    color_topic: Annotated[str, Field(min_length=1, max_length=255)] | None = None
 
     @property
     def intrinsics(self) -> Intrinsics | None:
@@ -104,6 +105,19 @@ class ImageHeader(ShortMessage):
     width: Pixels
     height: Pixels
     encoding: Literal["16UC1", "32FC1"]
+
+
+class ColorHeader(ShortMessage):
+    """The first line of a colour image; the pixels follow, row by row: a byte of grey with the encoding `mono8`, of red, green and blue each with `rgb8`, as in ROS.
+
+    The image is registered to the depth: it has the frame and the intrinsics of the camera, as the left infrared image of a stereo camera has. It was taken at `stamp` (Unix
+    time, s).
+    """
+
+    stamp: float
+    width: Pixels
+    height: Pixels
+    encoding: Literal["mono8", "rgb8"]
 
 
 class CloudHeader(ShortMessage):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from base64 import b64decode
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.messages.motion import Joints, Name, NonNegative, Positive, Quaternion, Vector3
@@ -12,6 +13,18 @@ from zarm_contract.messages.scene import SceneObject
 
 MAX_CONTACTS = 200
 MAX_BODIES = 1000
+PNG = b"\x89PNG\r\n\x1a\n"
+"""How a PNG file begins."""
+
+
+def _png(image: str) -> str:
+    try:
+        known = b64decode(image, validate=True).startswith(PNG)
+    except ValueError as error:
+        raise ValueError("not base64") from error
+    if not known:
+        raise ValueError("not a PNG file")
+    return image
 
 
 class DynamicObject(ShortMessage):
@@ -29,6 +42,15 @@ class Conveyor(ShortMessage):
 
     name: Name
     speed: float
+
+
+class Texture(ShortMessage):
+    """What the cuboid `name` looks like to cameras: a picture on the side that its z axis leaves, with its first row at y = +, and on the one behind. `image` is a PNG
+    in base64.
+    """
+
+    name: Name
+    image: Annotated[str, AfterValidator(_png)]
 
 
 class MovingObjects(ShortMessage):
@@ -52,6 +74,7 @@ class LoadWorld(Message):
     dynamic: tuple[DynamicObject, ...] = Field(default=(), max_length=MAX_BODIES)
     conveyors: tuple[Conveyor, ...] = Field(default=(), max_length=MAX_BODIES)
     moving: tuple[MovingObjects, ...] = Field(default=(), max_length=MAX_BODIES)
+    textures: tuple[Texture, ...] = Field(default=(), max_length=MAX_BODIES)
 
 
 class BodyPose(ShortMessage):

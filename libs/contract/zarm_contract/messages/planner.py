@@ -249,10 +249,13 @@ class IkSolutions(Message):
 
 
 class FkRequest(Message):
-    """Forward kinematics: the tip pose for each joint vector (rad) of the robot; with a `group`, that of its tip."""
+    """Forward kinematics: the tip pose for each joint vector (rad) of the robot; with a `group`, that of its tip, or that of another frame of the robot,
+    `tip`.
+    """
 
     joints: tuple[Joints, ...] = Field(min_length=1, max_length=1000)
     group: GroupName | None = None
+    tip: TipFrame | None = None
     device: Device = "auto"
 
 

@@ -7,19 +7,15 @@ from functools import partial
 
 import numpy as np
 
-from zarm_contract.messages import (
-    FkPoses,
-    FkRequest,
-    IkRequest,
-    IkSolutions,
-)
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import FkPoses, FkRequest, IkRequest, IkSolutions, TipFrame
 from zarm_geometry.frames import matrix, pose_of
 from zarm_planner.deadline import Deadline
 from zarm_planner.goals.joints import checked
 from zarm_planner.group import Group
 from zarm_planner.handlers.state import BATCH_TIMEOUT, PlannerState
 from zarm_planner.kinematics.batches import batch_fk, batch_ik, batch_regions
-from zarm_planner.kinematics.pose_region import PoseRegion
+from zarm_planner.kinematics.pose_region import PoseRegion, tip_frame
 from zarm_runtime.requester import requester
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.turns import whole_turns
@@ -67,9 +63,18 @@ class KinematicsHandlers:
     def fk(self, request: FkRequest) -> FkPoses:
         """Poses for joints. Raises InvalidRequest."""
         joints = np.array([checked(self._state.model, q, f"joints.{i}") for i, q in enumerate(request.joints)])
+        if request.tip is not None:
+            return self._fk_frame(request.tip, request.group, joints)
         group = Group.of_tip(self._state.model.robot, request.group)
         if group is None:
             poses = batch_fk(self._state.model, joints, request.device)
         else:
             poses = self._state.model.fk_link(self._state.model.robot.tip_of(group.names), joints)
         return FkPoses(poses=tuple(pose_of(pose) for pose in poses))
+
+    def _fk_frame(self, tip: TipFrame, group: str | None, joints: Array) -> FkPoses:
+        if group is not None:
+            raise InvalidRequest("the tip names the frame already; leave the group out", field="group")
+        model = self._state.scenes.present(self._state.settings.margin).model
+        poses = model.fk_frame(tip_frame(model, tip, "tip"), joints)
+        return FkPoses(poses=tuple(map(pose_of, poses)))
