@@ -163,3 +163,23 @@ def test_a_camera_that_is_removed_is_listened_to_no_more(lab: Lab, node: Node) -
     eventually(lambda: publisher.get_subscription_count() == 1, "the bridge listens again")
     lab.robot.perception.remove("front")
     eventually(lambda: publisher.get_subscription_count() == 0, "there is no camera")
+
+
+def test_colour_images_of_a_ros_topic_come_to_those_who_take_them(lab: Lab, node: Node) -> None:
+    publisher = node.create_publisher(Image, "/camera/color/image_rect", qos_profile_sensor_data)
+    rows = np.zeros((48, 64 * 3 + 5), np.uint8)
+    rows[:, 0 : 64 * 3 : 3] = 200  # blue
+    message = Image(width=64, height=48, encoding="bgr8", step=rows.shape[1], data=rows.tobytes())
+
+    def publish() -> None:
+        message.header.stamp = ros_time(time.time())
+        publisher.publish(message)
+
+    timer = node.create_timer(0.05, publish)
+    lab.robot.perception.add(camera(None).model_copy(update={"color_topic": "/camera/color/image_rect"}))
+    try:
+        image = lab.robot.perception.color("front", timeout=60.0)
+    finally:
+        node.destroy_timer(timer)
+    assert image.shape == (48, 64, 3)
+    assert (image == (0, 0, 200)).all()

@@ -52,7 +52,9 @@ _CAMERA = m.Camera(
     projection="spherical",
     topic="/camera/depth/image_rect_raw",
     topic_type="sensor_msgs/msg/PointCloud2",
+    color_topic="/camera/color/image_rect",
 )
+_TEXTURE = m.Texture(name="table", image="iVBORw0KGgo=")
 _TOOL_MOTION = m.ToolMotion(length=0.4, speed=0.1, rotational_speed=0.7, speed_share=0.875)
 _TOO_NEAR = m.TooNear(pair=("link_3", "table"), distance=0.002, margin=0.03, time=0.75)
 _CUBOID = m.Cuboid(
@@ -317,7 +319,7 @@ EXAMPLES: tuple[Message, ...] = (
     m.IkRequest(poses=(_POSE, _POSE), near=(0.0, 0.0), max_solutions=4, collision_free=False, device="cpu", seed=9),
     m.IkRequest(poses=(_POSE,), tolerance=_BALL, tip=_TIP_FRAME, group="left"),
     m.IkSolutions(solutions=(((0.1, 0.2), (0.3, 0.4)), ())),
-    m.FkRequest(joints=((0.1, 0.2), (0.3, 0.4)), device="kernels", group="left"),
+    m.FkRequest(joints=((0.1, 0.2), (0.3, 0.4)), device="kernels", group="left", tip=_TIP_FRAME),
     m.FkPoses(poses=(_POSE,)),
     m.CheckRequest(joints=((0.1, 0.2),), spheres=True, points=True, torque=True),
     m.HoldingTorque(torque=-12.5, effort=87.0),
@@ -593,7 +595,9 @@ EXAMPLES: tuple[Message, ...] = (
         dynamic=(m.DynamicObject(name=_CUBOID.name, mass=0.2),),
         conveyors=(m.Conveyor(name="belt", speed=0.1),),
         moving=(m.MovingObjects(names=("visitor",), path=((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)), speed=0.5),),
+        textures=(_TEXTURE,),
     ),
+    _TEXTURE,
     m.PhysicsState(
         stamp=1700000000.25,
         time=12.5,

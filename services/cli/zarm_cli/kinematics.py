@@ -24,6 +24,7 @@ At = Annotated[
 def fk(
     at: At = None,
     group: Group = None,
+    tip: Annotated[str | None, typer.Option(metavar="LINK", help="Link or attached object (default: the tip).")] = None,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
@@ -31,7 +32,7 @@ def fk(
     """Forward kinematics: the tip pose at these joint positions."""
     where = joints(at, "--joints")
     with connected(connect, name) as robot:
-        poses = FkPoses(poses=tuple(robot.fk([where or robot.joint_state().position], group=group)))
+        poses = FkPoses(poses=tuple(robot.fk([where or robot.joint_state().position], group=group, tip=tip)))
     if as_json:
         print_json(poses)
     else:

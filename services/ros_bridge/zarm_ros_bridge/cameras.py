@@ -1,20 +1,21 @@
-"""Depth images and clouds of ROS cameras for the voxel map."""
+"""Depth images, clouds and colour images of ROS cameras."""
 
 from __future__ import annotations
 
 import logging
 import threading
 from collections.abc import Callable, Iterator
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 
 from zarm_contract.errors import ZarmError
-from zarm_contract.image import PIXEL_BYTES, encode_image
-from zarm_contract.messages import Camera, Cameras, CloudHeader, ImageHeader, Intrinsics
+from zarm_contract.image import COLOR_BYTES, PIXEL_BYTES, encode_image
+from zarm_contract.messages import Camera, Cameras, CloudHeader, ColorHeader, ImageHeader, Intrinsics
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.ros import Ros
 
@@ -25,33 +26,51 @@ T = TypeVar("T", Image, PointCloud2)
 _FLOATS = {PointField.FLOAT32: "f4", PointField.FLOAT64: "f8"}
 
 
+class _Topics(NamedTuple):
+    """What is subscribed to for a camera."""
+
+    depth: str | None
+    depth_type: str
+    color: str | None
+
+    @classmethod
+    def of(cls, camera: Camera) -> Self:
+        return cls(camera.topic, camera.topic_type, camera.color_topic)
+
+
 class CameraTopics:
-    """Passes the images or clouds of each camera that has a topic on ROS to the perception, from cameras that are added later too.
-    Intrinsics that a camera leaves out are those of its `camera_info`.
+    """Passes the images or clouds of each camera that has a topic on ROS to the perception, from cameras that are added later too,
+    and its colour images to those who take them. Intrinsics that a camera leaves out are those of its `camera_info`.
     """
 
     def __init__(self, ros: Ros, engine: Engine) -> None:
         self._ros, self._engine = ros, engine
         self._turn = threading.Lock()
         self._cameras: dict[str, Camera] = {}
-        self._topics: dict[str, tuple[tuple[str, str], list[Any]]] = {}
+        self._topics: dict[str, tuple[_Topics, list[Any]]] = {}
         engine.bus.watch(engine.keys.cameras, self._changed)
 
     def _changed(self, _key: str, cameras: Cameras) -> None:
         with self._turn:
             self._cameras = {camera.name: camera for camera in cameras.cameras}
-            wanted = {camera.name: (camera.topic, camera.topic_type) for camera in cameras.cameras}
-            for name, (topic, subscriptions) in [*self._topics.items()]:
-                if wanted.get(name) != topic:
+            wanted = {camera.name: _Topics.of(camera) for camera in cameras.cameras}
+            for name, (topics, subscriptions) in [*self._topics.items()]:
+                if wanted.get(name) != topics:
                     for subscription in subscriptions:
                         self._ros.node.destroy_subscription(subscription)
                     del self._topics[name]
             for camera in cameras.cameras:
-                if camera.topic and camera.name not in self._topics:
-                    topic = (camera.topic, camera.topic_type)
-                    self._topics[camera.name] = topic, [*self._subscriptions(camera, camera.topic)]
+                if camera.name not in self._topics:
+                    self._topics[camera.name] = wanted[camera.name], [*self._subscriptions(camera)]
 
-    def _subscriptions(self, camera: Camera, topic: str) -> Iterator[Any]:
+    def _subscriptions(self, camera: Camera) -> Iterator[Any]:
+        if camera.topic is not None:
+            yield from self._depth_subscriptions(camera, camera.topic)
+        if camera.color_topic is not None:
+            colors = self._engine.client.connection.publisher(self._engine.keys.color(camera.name))
+            yield self._subscription(Image, camera.color_topic, colors.put_encoded, _color, colors.has_subscribers)
+
+    def _depth_subscriptions(self, camera: Camera, topic: str) -> Iterator[Any]:
         client, keys = self._engine.client, self._engine.keys
         if camera.topic_type == "sensor_msgs/msg/PointCloud2":
             clouds = client.connection.publisher(keys.cloud(camera.name))
@@ -70,12 +89,19 @@ class CameraTopics:
             )
 
     def _subscription(
-        self, kind: type[T], topic: str, publish: Callable[[bytes], object], encode: Callable[[T], bytes]
+        self,
+        kind: type[T],
+        topic: str,
+        publish: Callable[[bytes], object],
+        encode: Callable[[T], bytes],
+        wanted: Callable[[], bool] = lambda: True,
     ) -> Any:
         refused = ""
 
         def receive(message: T) -> None:
             nonlocal refused
+            if not wanted():
+                return
             try:
                 publish(encode(message))
             except ValueError as error:
@@ -108,22 +134,36 @@ def _image(image: Image) -> bytes:
     """The image as the perception reads it. Raises ValueError."""
     if image.encoding not in PIXEL_BYTES:
         raise ValueError(f"the encoding {image.encoding!r} is no depth; publish {' or '.join(PIXEL_BYTES)}")
-    wide = image.width * PIXEL_BYTES[image.encoding]
+    pixels = _pixels(image, PIXEL_BYTES[image.encoding])
+    if image.is_bigendian:
+        pixels = pixels[:, :, ::-1]
+    header = ImageHeader.model_validate({**_described(image), "encoding": image.encoding})
+    return encode_image(header, pixels.tobytes())
+
+
+def _color(image: Image) -> bytes:
+    """The colour image as it is on the bus. Raises ValueError."""
+    encoding = "rgb8" if image.encoding == "bgr8" else image.encoding
+    if encoding not in COLOR_BYTES:
+        raise ValueError(f"the encoding {image.encoding!r} is not known; publish bgr8, {' or '.join(COLOR_BYTES)}")
+    pixels = _pixels(image, COLOR_BYTES[encoding])
+    if image.encoding == "bgr8":
+        pixels = pixels[:, :, ::-1]
+    return encode_image(ColorHeader.model_validate({**_described(image), "encoding": encoding}), pixels.tobytes())
+
+
+def _pixels(image: Image, size: int) -> NDArray[np.uint8]:
+    """The pixels (h, w, size) of an image whose pixels have so many bytes. Raises ValueError."""
+    wide = image.width * size
     if image.step < wide or len(image.data) != image.step * image.height:
         raise ValueError(f"{len(image.data)} bytes are not {image.height} rows of {image.step}")
     rows = np.frombuffer(image.data, np.uint8).reshape(image.height, image.step)[:, :wide]
-    if image.is_bigendian:
-        rows = rows.reshape(image.height, image.width, -1)[:, :, ::-1]
+    return rows.reshape(image.height, image.width, size)
+
+
+def _described(image: Image) -> dict[str, object]:
     stamp = image.header.stamp
-    header = ImageHeader.model_validate(
-        {
-            "stamp": stamp.sec + stamp.nanosec * 1e-9,
-            "width": image.width,
-            "height": image.height,
-            "encoding": image.encoding,
-        }
-    )
-    return encode_image(header, rows.tobytes())
+    return {"stamp": stamp.sec + stamp.nanosec * 1e-9, "width": image.width, "height": image.height}
 
 
 def _cloud(cloud: PointCloud2) -> bytes:

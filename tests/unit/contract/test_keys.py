@@ -23,6 +23,7 @@ def every_key(robot: str) -> dict[str, str]:
         "goal": keys.goal("*"),
         "gripper_state": keys.gripper_state("*"),
         "output_state": keys.output_state("*"),
+        "color": keys.color("*"),
         "depth": keys.depth("*"),
         "cloud": keys.cloud("*"),
         "voxels": keys.voxels("*"),

@@ -36,8 +36,8 @@ def after(simulation: Simulation, seconds: float) -> dict[str, np.ndarray]:
     return {name: position for name, (position, _) in simulation.poses().items()}
 
 
-def test_there_are_five() -> None:
-    assert NAMES == ["bin", "blocks", "conveyor", "person", "shelf", "two_arms"]
+def test_there_are_seven() -> None:
+    assert NAMES == ["bin", "blocks", "board", "conveyor", "person", "shelf", "two_arms"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -45,7 +45,7 @@ def test_what_stands_in_a_world_stays_there(name: str) -> None:
     world = World.of(load_world(name))
     simulation = Simulation(UR5E, world, HOME)
     places = after(simulation, 1.0)
-    assert world.dynamic or world.walks
+    assert world.dynamic or world.walks or world.textures
     for thing in world.dynamic:
         way = places[thing] - world.objects[thing].position
         assert np.linalg.norm(way[:2]) < 0.005 or world.belts
@@ -113,9 +113,23 @@ def test_a_fault_in_a_file_is_named_with_its_line(text: str, words: str, tmp_pat
 
 def test_an_unknown_world_is_refused_with_those_there_are() -> None:
     with pytest.raises(
-        InvalidRequest, match="unknown world 'bn': zarm brings bin, blocks, conveyor, person, shelf, two_arms"
+        InvalidRequest, match="unknown world 'bn': zarm brings bin, blocks, board, conveyor, person, shelf, two_arms"
     ):
         load_world("bn")
+
+
+def test_a_picture_that_cannot_be_shown_is_refused_with_its_line(tmp_path: Path) -> None:
+    (tmp_path / "words.png").write_text("no picture")
+    lines = (WORLDS / "board.yaml").read_text().splitlines()
+    for picture, words in (
+        ("board: none.png", "world.yaml:6: textures.board: .*none.png: No such file"),
+        ("board: words.png", "world.yaml:6: textures.board: .*words.png is not a PNG file"),
+        (f"floor: {WORLDS / 'board.png'}", "world.yaml:6: textures.floor: no cuboid is named floor; there are board"),
+    ):
+        file = tmp_path / "world.yaml"
+        file.write_text("\n".join([*lines[:-1], f"  {picture}"]))
+        with pytest.raises(InvalidRequest, match=words):
+            load_world(str(file))
 
 
 def test_what_does_not_fit_together_on_the_bus_is_named_by_field() -> None:

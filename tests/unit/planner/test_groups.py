@@ -31,10 +31,11 @@ from zarm_contract.messages import (
     ProgramRequest,
     SceneEdit,
     StartState,
+    TipFrame,
 )
 from zarm_contract.robot import RobotDescription, load_robot
 from zarm_geometry.exact import ExactScene
-from zarm_geometry.frames import pose_of
+from zarm_geometry.frames import matrix, pose_of
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.group import Group
@@ -278,3 +279,19 @@ def test_what_was_measured_of_the_whole_robot_serves_its_groups(pandas: Handlers
     whole = group.scene(scene, HOME).exact.model.whole
     assert whole is not None
     assert whole.model.pair_room is room
+
+
+def test_forward_kinematics_of_any_frame_are_those_of_the_tip_moved_there(pandas: Handlers) -> None:
+    q = tuple((HOME + 0.1).tolist())
+    (tip,) = pandas.fk(FkRequest(joints=(q,), group="right")).poses
+    link = PANDAS.robot.group("right").descriptor.tip_link
+    (found,) = pandas.fk(FkRequest(joints=(q,), tip=TipFrame(link=link))).poses
+    assert found == tip
+    offset = Pose(position=(0.1, 0.0, 0.2))
+    (moved,) = pandas.fk(FkRequest(joints=(q,), tip=TipFrame(link=link, offset=offset))).poses
+    expected = matrix(tip.position, tip.orientation) @ matrix(offset.position, offset.orientation)
+    assert moved.position == pytest.approx(tuple(expected[:3, 3]))
+    with pytest.raises(InvalidRequest, match="the tip names the frame already; leave the group out"):
+        pandas.fk(FkRequest(joints=(q,), group="right", tip=TipFrame(link=link)))
+    with pytest.raises(InvalidRequest, match="elbow is neither a link that the joints move nor an attached object"):
+        pandas.fk(FkRequest(joints=(q,), tip=TipFrame(link="elbow")))
