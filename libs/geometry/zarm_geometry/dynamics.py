@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
@@ -19,6 +19,7 @@ from zarm_geometry.joint_tree import JointTree, Place
 from zarm_geometry.kernels.dynamics import torques
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 
 class Weight(NamedTuple):
@@ -39,14 +40,6 @@ class Weight(NamedTuple):
         xx, yy, zz, xy, xz, yz = inertial.inertia
         inertia = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
         return cls(joint, inertial.mass, pose[:3, :3] @ inertial.xyz + pose[:3, 3], inertia)
-
-    def carried(self, places: Sequence[Place]) -> Self:
-        """The same on the joints of a group, each of the robot's joints at its place."""
-        if self.joint < 0:
-            return self
-        joint, pose = places[self.joint]
-        turn = pose[:3, :3]
-        return type(self)(joint, self.mass, turn @ self.center + pose[:3, 3], turn @ self.inertia @ turn.T)
 
 
 def weights_of_load(item: Attached, mass: float, place: Place) -> Iterator[Weight]:
@@ -141,3 +134,25 @@ class Dynamics:
         """The torques (n, dof) that hold the robot still at `position` (n, dof)."""
         still = np.zeros_like(np.asarray(position, dtype=float))
         return self.torque(position, still, still)
+
+    def of_group(self, joints: Index, standing: Array) -> GroupDynamics:
+        """Those of motions of some `joints` (n,), while the others stand as in `standing` (dof,)."""
+        return GroupDynamics(self.tree, self.mass, self.center, self.inertia, self.limit, joints, standing)
+
+
+@dataclass(frozen=True)
+class GroupDynamics(Dynamics):
+    """The torques of all joints, (n, dof), in motions of some `joints` (n, len(joints)), while the others stand as in `standing` (dof,) and hold what moves."""
+
+    joints: Index
+    standing: Array
+
+    def torque(self, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
+        """The torques (n, dof) of a motion (n, len(joints)) in rad, rad/s and rad/s²."""
+        still = np.zeros_like(self.standing)
+        whole = []
+        for moving, at_rest in ((position, self.standing), (velocity, still), (acceleration, still)):
+            columns = np.tile(at_rest, (len(np.asarray(moving)), 1))
+            columns[:, self.joints] = moving
+            whole.append(columns)
+        return super().torque(*whole)

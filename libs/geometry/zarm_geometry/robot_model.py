@@ -37,10 +37,14 @@ _COVER = 12
 
 
 class Whole(NamedTuple):
-    """The robot that a group belongs to, and the place of each of its joints among those of the group."""
+    """The robot that a group belongs to, and the place of each of its joints among those of the group; of these, the joints `moving` are the
+    group's, and the others stand as in `standing` (dof,).
+    """
 
     model: RobotModel
     places: tuple[Place, ...]
+    moving: NDArray[np.intp]
+    standing: Array
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,7 @@ class RobotModel:
             for body in self.bodies
             if body.name not in without
         ]
-        return self._packed(robot, tree, tip, bodies, Whole(self, tuple(places)))
+        return self._packed(robot, tree, tip, bodies, Whole(self, tuple(places), np.array(moving), q))
 
     def with_attached(
         self, attached: Sequence[Attached], ignored_links: Sequence[str], openings: Openings = ()
@@ -377,23 +381,17 @@ class RobotModel:
 
     @cached_property
     def dynamics(self) -> Dynamics | None:
-        """What the robot and its loads weigh, and the largest torques; None if its URDF does not state the inertia of each
+        """What the robot and its loads weigh, and the largest torques, for a group those of all joints; None if its URDF does not state the inertia of each
         link. A load without a mass weighs nothing.
         """
-        weights = self._weights
-        if weights is None:
-            return None
         if self.whole is not None:
-            joints = self.whole.model.robot.descriptor.joints
-            limit = self.whole.model._torque_limits[[joints.index(name) for name in self.robot.descriptor.joints]]
-            return Dynamics.of(self.tree, weights, limit)
-        return Dynamics.of(self.tree, weights, self._torque_limits)
+            whole = self.whole.model.dynamics
+            return None if whole is None else whole.of_group(self.whole.moving, self.whole.standing)
+        weights = self._weights
+        return None if weights is None else Dynamics.of(self.tree, weights, self._torque_limits)
 
     @cached_property
     def _weights(self) -> tuple[Weight, ...] | None:
-        if self.whole is not None:
-            weights, places = self.whole.model._weights, self.whole.places
-            return None if weights is None else tuple(weight.carried(places) for weight in weights)
         links = self._own_weights if self.without is None else self.without._weights
         if links is None:
             return None

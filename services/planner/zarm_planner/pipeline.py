@@ -224,10 +224,11 @@ def _within_torque(
     """The trajectory, slower if a joint would need more than its largest torque, and what it needs then; None if the inertia
     of the robot is unknown. Raises VerificationFailed.
     """
-    dynamics = context.scene.exact.model.dynamics
+    model = context.scene.exact.model
+    dynamics = model.dynamics
     if dynamics is None:
         return trajectory, None
-    names = context.model.robot.descriptor.joints
+    names = (model if model.whole is None else model.whole.model).robot.descriptor.joints
     try:
         slower, use = within_torque(dynamics, trajectory, context.limits, begun=problem.beginning[1] is not None)
     except TooHeavy as error:

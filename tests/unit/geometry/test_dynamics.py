@@ -87,14 +87,14 @@ def test_what_is_carried_counts_with_its_mass() -> None:
     assert np.array_equal(known(weightless).torque([q], [v], [a]), known(model).torque([q], [v], [a]))
 
 
-def test_a_group_needs_the_torques_of_its_joints_while_the_others_stand(tmp_path: Path) -> None:
+def test_a_group_needs_the_torques_of_all_joints_while_the_others_stand(tmp_path: Path) -> None:
     whole = RobotModel.of(load_robot(str(two_pandas(tmp_path))))
     q, v, a = motions(whole, 1)[0]
     group = whole.group(["left"], q)
     own = [whole.robot.descriptor.joints.index(name) for name in group.robot.descriptor.joints]
     standing = np.setdiff1d(np.arange(whole.dof), own)
     v[standing] = a[standing] = 0.0
-    expected = known(whole).torque([q], [v], [a])[0][own]
+    expected = known(whole).torque([q], [v], [a])[0]
     assert known(group).torque([q[own]], [v[own]], [a[own]])[0] == pytest.approx(expected, abs=1e-9)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from support.composed import torso_with_arms, two_pandas
+from support.composed import composed, torso_with_arms, two_pandas
 from zarm_contract.errors import InvalidRequest, PlanningFailed, ZarmError
 from zarm_contract.messages import (
     AddObjects,
@@ -30,6 +30,7 @@ from zarm_contract.messages import (
     PoseGoal,
     ProgramRequest,
     SceneEdit,
+    Sphere,
     StartState,
     TipFrame,
 )
@@ -295,3 +296,37 @@ def test_forward_kinematics_of_any_frame_are_those_of_the_tip_moved_there(pandas
         pandas.fk(FkRequest(joints=(q,), group="right", tip=TipFrame(link=link)))
     with pytest.raises(InvalidRequest, match="elbow is neither a link that the joints move nor an attached object"):
         pandas.fk(FkRequest(joints=(q,), tip=TipFrame(link="elbow")))
+
+
+CARRIED = """
+name: carried
+parts:
+  lower: {robot: ur10e}
+  upper: {robot: panda, on: lower}
+"""
+
+
+def test_the_joints_that_stand_hold_what_moves_with_their_torques_too(tmp_path: Path) -> None:
+    model = RobotModel.of(load_robot(str(composed(tmp_path, CARRIED))))
+    sideways = np.array(model.robot.descriptor.home)
+    sideways[[3, 4, 7, 9]] = 0.7, 3.14, 0.8, -0.8  # the Panda stands on a wrist whose axis is level
+    handlers = Handlers(model, "carried", SceneStore(tmp_path), lambda: sideways)
+    asked = request(
+        JointGoal(kind="joints", position=tuple((sideways[6:] - [0.8, *[0.0] * 6]).tolist())), group="upper"
+    )
+    plan = handlers.plan(asked)
+    assert plan.torque is not None
+    assert model.dynamics is not None
+    motion = TimedTrajectory.of(plan.trajectory, model.robot.descriptor.joints)
+    times = np.linspace(0.0, motion.duration, 2000)
+    shares = np.abs(model.dynamics.torque(*motion.sample(times))) / model.dynamics.limit
+    assert plan.torque.joint == model.robot.descriptor.joints[shares.max(axis=0).argmax()]
+    assert plan.torque.share == pytest.approx(shares.max(), abs=0.01)
+    hand = model.fk_link("upper_panda_hand", sideways)
+    load = Sphere(kind="sphere", name="load", position=tuple((hand[:3] @ (0.0, 0.0, 0.2, 1.0)).tolist()), radius=0.02)
+    handlers.edit(SceneEdit(edit=AddObjects(op="add", objects=(load,))))
+    touched = tuple(link for link in model.links if link.startswith("upper"))
+    attach = AttachObject(op="attach", name="load", link="upper_panda_hand", mass=2.0, touch_links=touched)
+    handlers.edit(SceneEdit(edit=attach))
+    with pytest.raises(PlanningFailed, match=r"lower_wrist_3_joint would need 55 Nm to stand still at 0\.00 s"):
+        handlers.plan(asked)

@@ -62,17 +62,17 @@ class TorqueUse(NamedTuple):
 def within_torque(
     dynamics: Dynamics, motion: TimedTrajectory, limits: Limits, *, begun: bool = False
 ) -> tuple[TimedTrajectory, TorqueUse]:
-    """The motion, slower where one of the first joints would need more than its largest torque, and what it needs then.
+    """The motion, slower where a joint would need more than its largest torque, and what it needs then. Its first columns are the joints of `limits`.
 
     One that has `begun` begins as it did. The limits hold as `sampling.load` measures them. Raises TooHeavy, TooFast, and
     InvalidRequest if the motion becomes longer than a message holds.
     """
-    limit = dynamics.limit
+    limit, joints = dynamics.limit, slice(len(limits.joints))
     if motion.steps.max() <= _COARSE:
-        use = _largest(motion.time, dynamics.torque(*motion.states[:, :, : len(limit)]), limit)
+        use = _largest(motion.time, dynamics.torque(*motion.states[:, :, joints]), limit)
         if use.share < _FAR:
             return motion, use
-    looks = _Looks.at(dynamics, motion, _FINE)
+    looks = _Looks.at(dynamics, motion, joints, _FINE)
     use = _largest(looks.times, looks.torque, limit)
     if use.share <= _SHARE:
         return motion, use
@@ -84,12 +84,12 @@ def within_torque(
             f"{limit[held.joint]:.0f}: the robot carries too much",
         )
     room = (_SHARE_BEGUN if begun else _SHARE) * limit
-    position, velocity, _ = looks.states[:, :, : len(limit)]
+    position, velocity, _ = looks.states[:, :, joints]
     inert = dynamics.torque(position, np.zeros_like(velocity), velocity) - looks.holding
     needs = np.stack((looks.torque - looks.holding, inert, -room - looks.holding, room - looks.holding))
     slower = paced(motion, looks.times, looks.states, needs, limits)
-    at_last = _Looks.at(dynamics, slower, _VERIFIED)
-    stretch = max(at_last.stretch(limit), load(slower.columns(slice(len(limits.joints))), limits))
+    at_last = _Looks.at(dynamics, slower, joints, _VERIFIED)
+    stretch = max(at_last.stretch(limit), load(slower.columns(joints), limits))
     if begun:
         if stretch > 1.0 + TOLERANCE or not np.allclose(
             slower.states[:, 0], motion.states[:, 0], rtol=_SAME, atol=_SAME
@@ -114,12 +114,12 @@ class _Looks(NamedTuple):
     holding: Array
 
     @classmethod
-    def at(cls, dynamics: Dynamics, motion: TimedTrajectory, most: float) -> Self:
+    def at(cls, dynamics: Dynamics, motion: TimedTrajectory, joints: slice, most: float) -> Self:
         """Looks at most about `most` s apart."""
         times = sample_times(motion.time, 1.0, max(most, motion.duration / _LOOKS))
         states = motion.sample(times)
-        joints = states[:, :, : len(dynamics.limit)]
-        return cls(times, states, dynamics.torque(*joints), dynamics.holding(joints[0]))
+        moving = states[:, :, joints]
+        return cls(times, states, dynamics.torque(*moving), dynamics.holding(moving[0]))
 
     def slower(self, factor: float) -> Array:
         """The torque if the motion takes `factor` times as long: what speed and acceleration need falls with its square."""
