@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
+import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -76,7 +77,7 @@ def _misplaced(document: Document, composition: Composition) -> Iterator[str]:
 
 
 def compose(path: Path, folder: Path | None, overwrite: bool = False) -> Path:
-    """Write the descriptor and the URDF of a composition to `folder`, by default one of the robot's name; returns the
+    """Write the descriptor and the URDF of a composition to `folder`, by default one of the robot's name, once they are read without a fault; returns the
     descriptor's path. Raises InvalidRequest.
     """
     composition, robots = read_composition(path)
@@ -85,10 +86,20 @@ def compose(path: Path, folder: Path | None, overwrite: bool = False) -> Path:
     for file in (descriptor, urdf):
         if file.exists() and not overwrite:
             raise InvalidRequest(f"{file} is there already; --overwrite replaces it")
-    folder.mkdir(parents=True, exist_ok=True)
-    urdf.write_text(_urdf_text(composition, robots, folder, path), encoding="utf-8")
-    descriptor.write_text(_descriptor_text(composition, robots, path), encoding="utf-8")
-    load_robot(str(descriptor))
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(
+        dir=folder.parent, prefix=f"{folder.name}-"
+    ) as name:  # as deep, so that relative paths hold
+        trial = Path(name)
+        (trial / urdf.name).write_text(_urdf_text(composition, robots, folder, path), encoding="utf-8")
+        (trial / descriptor.name).write_text(_descriptor_text(composition, robots, path), encoding="utf-8")
+        try:
+            load_robot(str(trial / descriptor.name))
+        except InvalidRequest as error:
+            raise InvalidRequest(error.problem.message.replace(f"{trial}/", f"{path}: made of it, ")) from error
+        folder.mkdir(exist_ok=True)
+        for file in (urdf, descriptor):
+            (trial / file.name).replace(file)
     return descriptor
 
 

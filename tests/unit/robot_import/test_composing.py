@@ -16,6 +16,7 @@ from zarm_geometry.frames import matrix
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_robot_import.checking import findings
+from zarm_robot_import.composing import compose
 
 
 def test_two_arms_stand_where_the_file_says(tmp_path: Path) -> None:
@@ -138,3 +139,16 @@ def test_a_robot_that_is_there_already_is_kept(tmp_path: Path) -> None:
     two_pandas(tmp_path)
     with pytest.raises(InvalidRequest, match="is there already; --overwrite replaces it"):
         two_pandas(tmp_path)
+
+
+def test_a_composition_that_is_no_robot_replaces_nothing(tmp_path: Path) -> None:
+    made = two_pandas(tmp_path)
+    before = {file.name: file.read_bytes() for file in made.parent.iterdir()}
+    file = tmp_path / "composition.yaml"
+    file.write_text(TWO_PANDAS.replace("base_link: table", "base_link: left_panda_link3"), encoding="utf-8")
+    with pytest.raises(
+        InvalidRequest, match=r"composition.yaml: made of it, pandas.yaml:\d+: .*no group moves left_panda"
+    ):
+        compose(file, made.parent, overwrite=True)
+    assert {file.name: file.read_bytes() for file in made.parent.iterdir()} == before
+    assert {*tmp_path.iterdir()} == {file, made.parent}
