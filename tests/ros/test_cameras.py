@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+from sensor_msgs.msg import CameraInfo, Image, LaserScan, PointCloud2, PointField
 
 import zarm
 from support.harness import ServiceProcess, eventually, router
@@ -122,6 +122,45 @@ def test_clouds_of_a_ros_topic_become_voxels(kind: str, big: bool, lab: Lab, nod
 
     eventually(seen, "the camera sees forty centimetres by thirty")
     lab.expect_a_plane_below_the_camera()
+
+
+def test_planar_scans_of_a_ros_topic_become_voxels(lab: Lab, node: Node) -> None:
+    publisher = node.create_publisher(LaserScan, "/scan", qos_profile_sensor_data)
+    lab.robot.perception.add(
+        Camera(
+            name="scanner",
+            position=(0.6, 0.7, 0.3),
+            projection="spherical",
+            topic="/scan",
+            topic_type="sensor_msgs/msg/LaserScan",
+            width=360,
+            height=16,
+            fx=57.3,
+            fy=57.3,
+            cx=179.5,
+            cy=7.5,
+        )
+    )
+    angles = np.radians(np.arange(-180.0, 180.0))
+    wall = 0.2 / np.cos(angles)  # a wall, 20 cm before the scanner
+    ranges = np.where((abs(angles) < 0.7), wall, np.inf)
+    scan = LaserScan(
+        angle_min=-np.pi, angle_max=np.pi, angle_increment=float(np.radians(1.0)), range_min=0.1, range_max=5.0,
+        ranges=ranges.tolist(),
+    )  # fmt: skip
+
+    def seen() -> bool:
+        lab.stand()
+        scan.header.stamp = ros_time(time.time())
+        publisher.publish(scan)
+        return sum(len(one.cells) for one in lab.blocks.objects.values()) >= 15
+
+    eventually(seen, "the scanner sees the wall")
+    found = lab.blocks.objects.values()
+    points = np.concatenate([np.array(one.cells) * one.resolution + one.position for one in found])
+    np.testing.assert_allclose(points[:, 0], 0.8, atol=0.011)
+    np.testing.assert_allclose(points[:, 2], 0.3, atol=0.011)
+    assert np.ptp(points[:, 1]) > 0.25
 
 
 def test_intrinsics_come_from_the_camera_info_beside_the_images(lab: Lab, node: Node) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+from sensor_msgs.msg import CameraInfo, Image, LaserScan, PointCloud2, PointField
 
 from zarm_contract.errors import ZarmError
 from zarm_contract.image import COLOR_BYTES, PIXEL_BYTES, encode_image
@@ -21,7 +21,7 @@ from zarm_ros_bridge.ros import Ros
 
 log = logging.getLogger(__name__)
 
-T = TypeVar("T", Image, PointCloud2)
+T = TypeVar("T", Image, LaserScan, PointCloud2)
 
 _FLOATS = {PointField.FLOAT32: "f4", PointField.FLOAT64: "f8"}
 
@@ -72,9 +72,12 @@ class CameraTopics:
 
     def _depth_subscriptions(self, camera: Camera, topic: str) -> Iterator[Any]:
         client, keys = self._engine.client, self._engine.keys
-        if camera.topic_type == "sensor_msgs/msg/PointCloud2":
+        if camera.topic_type != "sensor_msgs/msg/Image":
             clouds = client.connection.publisher(keys.cloud(camera.name))
-            yield self._subscription(PointCloud2, topic, clouds.put_encoded, _cloud)
+            if camera.topic_type == "sensor_msgs/msg/LaserScan":
+                yield self._subscription(LaserScan, topic, clouds.put_encoded, _scan)
+            else:
+                yield self._subscription(PointCloud2, topic, clouds.put_encoded, _cloud)
             return
         images = client.connection.publisher(keys.depth(camera.name))
         yield self._subscription(Image, topic, images.put_encoded, _image)
@@ -187,5 +190,17 @@ def _cloud(cloud: PointCloud2) -> bytes:
     found = np.frombuffer(rows.tobytes(), kind)
     points = np.column_stack([found[axis] for axis in "xyz"]).astype("<f4")
     stamp = cloud.header.stamp
+    header = CloudHeader(stamp=stamp.sec + stamp.nanosec * 1e-9, points=len(points))
+    return encode_image(header, points.tobytes())
+
+
+def _scan(scan: LaserScan) -> bytes:
+    """The points of a planar scan as the perception reads them: those in range, with x forward and z up."""
+    ranges = np.asarray(scan.ranges, np.float64)
+    angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
+    seen = (ranges >= scan.range_min) & (ranges <= scan.range_max)
+    flat = np.column_stack((np.cos(angles), np.sin(angles), np.zeros(len(ranges))))
+    points = (ranges[:, None] * flat)[seen].astype("<f4")
+    stamp = scan.header.stamp
     header = CloudHeader(stamp=stamp.sec + stamp.nanosec * 1e-9, points=len(points))
     return encode_image(header, points.tobytes())

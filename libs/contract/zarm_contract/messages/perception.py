@@ -20,7 +20,7 @@ MAX_POINTS = 2_000_000
 
 VoxelCount = Annotated[int, Field(ge=1, le=4096)]
 Projection = Literal["pinhole", "spherical"]
-TopicType = Literal["sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"]
+TopicType = Literal["sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/LaserScan"]
 Pixels = Annotated[int, Field(ge=16, le=8192)]
 CameraName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 
