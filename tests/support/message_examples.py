@@ -596,6 +596,7 @@ EXAMPLES: tuple[Message, ...] = (
         conveyors=(m.Conveyor(name="belt", speed=0.1),),
         moving=(m.MovingObjects(names=("visitor",), path=((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)), speed=0.5),),
         textures=(_TEXTURE,),
+        add=True,
     ),
     _TEXTURE,
     m.PhysicsState(

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from zarm.calls import Calls
 from zarm.scene import EDIT_SECONDS
+from zarm.values import made
 from zarm_contract.errors import Unavailable
-from zarm_contract.messages import LoadScene, PhysicsState, SceneEdit
+from zarm_contract.messages import DynamicObject, LoadScene, LoadWorld, PhysicsState, SceneEdit, SceneObject
 
 _SILENCE = 5.0
 """s without a state after which no simulation runs."""
@@ -32,6 +33,18 @@ class Simulation(Calls):
             edit = SceneEdit(edit=LoadScene(op="load", objects=standing))
             self._ask(self._keys.scene_edit, edit, timeout=EDIT_SECONDS)
         return len(loaded.objects)
+
+    def add(self, *objects: SceneObject, mass: float | None = None, friction: float = 1.0) -> None:
+        """Add objects to the world; what is there stays where it is. With a `mass` (kg) each of them falls and can be pushed, else it is fixed.
+
+        Raises InvalidRequest for a name that is there already, and Unavailable if no simulation runs.
+        """
+        falling = (
+            ()
+            if mass is None
+            else tuple(made(DynamicObject, name=item.name, mass=mass, friction=friction) for item in objects)
+        )
+        self._ask(self._keys.physics_world, LoadWorld(objects=objects, dynamic=falling, add=True), timeout=EDIT_SECONDS)
 
     def state(self) -> PhysicsState:
         """What really happens at this moment. Raises Unavailable if no simulation runs."""

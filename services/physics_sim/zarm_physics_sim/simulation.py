@@ -160,11 +160,10 @@ class Simulation:
     def go_on_from(self, before: Simulation) -> None:
         """Take over where everything is, and how it moves, from another simulation of the robot."""
         old, new = before._model, self._model
-        same = self.world.dynamic is before.world.dynamic  # another world begins as it is described
-        self._loaded = before._loaded if same else before.time
+        self._loaded = before._loaded if self.world.walks is before.world.walks else before.time
         for k in range(new.njnt):
             name = new.joint(k).name
-            if not same and is_object(name):
+            if is_object(name) and not self._stays(object_name(name), before):
                 continue
             j = mujoco.mj_name2id(old, mujoco.mjtObj.mjOBJ_JOINT, name)
             if j >= 0 and old.jnt_type[j] == new.jnt_type[k]:
@@ -176,6 +175,10 @@ class Simulation:
         mujoco.mj_forward(new, self._data)
         for item in self._welds:
             self._weld(item)
+
+    def _stays(self, name: str, before: Simulation) -> bool:
+        """Whether a thing is that of the world before; another one begins as it is described."""
+        return self.world.objects[name] is before.world.objects.get(name)
 
     def _weld(self, item: Attached) -> None:
         """Hold a thing where it is in the frame of its link."""

@@ -26,12 +26,12 @@ class Surroundings:
             self._change()
 
     def load(self, request: LoadWorld) -> Nothing:
-        """Replace the world. Raises InvalidRequest."""
+        """Replace the world, or add to it. Raises InvalidRequest."""
         world = World.of(request)
         with self._lock:
-            self._world = world
+            self._world = self._world.joined(world) if request.add else world
             self._change()
-        log.info("world loaded objects=%d", len(world.objects))
+        log.info("world loaded objects=%d", len(self._world.objects))
         return Nothing()
 
     def _change(self) -> None:

@@ -64,7 +64,7 @@ class World:
         for key, fault in world_faults(message):
             raise InvalidRequest(fault, field=".".join(map(str, key)))
         return cls(
-            {item.name: item for item in message.objects},
+            {item.name: item.model_copy() for item in message.objects},  # things of their own, even if they are alike
             message.floor,
             {one.name: one for one in message.dynamic},
             {one.name: one.speed for one in message.conveyors},
@@ -76,6 +76,20 @@ class World:
     def stated(self) -> bool:
         """Whether there is anything in it; else the scene says what there is."""
         return bool(self.objects) or self.floor is not None
+
+    def joined(self, other: Self) -> Self:
+        """This world with the objects of another one beside its own. Raises InvalidRequest for names that are in both."""
+        if known := [name for name in other.objects if name in self.objects]:
+            raise InvalidRequest(f"{', '.join(known)}: in the world already; choose another name", field="objects")
+        return replace(
+            self,
+            objects={**self.objects, **other.objects},
+            floor=self.floor if other.floor is None else other.floor,
+            dynamic={**self.dynamic, **other.dynamic},
+            belts={**self.belts, **other.belts},
+            walks=(*self.walks, *other.walks) if other.walks else self.walks,
+            textures={**self.textures, **other.textures},
+        )
 
     def of_scene(self, objects: Sequence[SceneObject]) -> Self:
         """This world, or if it is empty one of these objects, all fixed."""

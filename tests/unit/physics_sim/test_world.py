@@ -15,6 +15,7 @@ from zarm_contract.messages import (
     DynamicObject,
     LoadWorld,
     MovingObjects,
+    Sphere,
 )
 from zarm_contract.robot import load_robot
 from zarm_contract.world import WORLDS, load_world
@@ -82,6 +83,23 @@ def test_another_world_begins_as_it_is_described_and_the_robot_goes_on() -> None
     assert again.poses()["parcel"][0][0] == 0.0
     np.testing.assert_allclose(again.position, before.position)
     assert again.time == before.time
+
+
+def test_things_that_are_added_fall_while_the_others_stay_where_they_are() -> None:
+    first = LoadWorld(objects=(BELT, PARCEL), dynamic=(DynamicObject(name="parcel", mass=0.2),), floor=0.0)
+    before = Simulation(
+        UR5E, World.of(first.model_copy(update={"conveyors": (Conveyor(name="belt", speed=0.1),)})), HOME
+    )
+    moved = after(before, 1.0)["parcel"]
+    ball = Sphere(kind="sphere", name="ball", position=(-0.8, 0.0, 1.0), radius=0.05)
+    more = LoadWorld(objects=(ball,), dynamic=(DynamicObject(name="ball", mass=0.1),), add=True)
+    again = before.in_world(before.world.joined(World.of(more)), ())
+    again.go_on_from(before)
+    np.testing.assert_allclose(again.poses()["parcel"][0], moved)
+    assert after(again, 0.2)["ball"][2] == pytest.approx(1.0 - 0.5 * 9.81 * 0.2**2, abs=0.01)
+    assert after(again, 1.0)["ball"][2] == pytest.approx(0.05, abs=0.005)
+    with pytest.raises(InvalidRequest, match="parcel: in the world already; choose another name"):
+        before.world.joined(World.of(first))
 
 
 OBJECTS = "objects:\n  - {kind: sphere, name: ball, position: [1, 0, 0], radius: 0.1}\n"

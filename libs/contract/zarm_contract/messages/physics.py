@@ -66,7 +66,8 @@ class MovingObjects(ShortMessage):
 
 class LoadWorld(Message):
     """Replace the world of a simulation: `objects` in the base frame, and a floor without end at the height `floor` (m), if given. Objects
-    are fixed unless they are dynamic or moving; meshes have no body. Objects of the scene have no body then, but where a world is empty.
+    are fixed unless they are dynamic or moving; meshes have no body. Objects of the scene have no body then, but where a world is empty. With `add` the
+    objects join those that are there, which stay where they are.
     """
 
     objects: tuple[SceneObject, ...] = Field(default=(), max_length=MAX_BODIES)
@@ -75,6 +76,7 @@ class LoadWorld(Message):
     conveyors: tuple[Conveyor, ...] = Field(default=(), max_length=MAX_BODIES)
     moving: tuple[MovingObjects, ...] = Field(default=(), max_length=MAX_BODIES)
     textures: tuple[Texture, ...] = Field(default=(), max_length=MAX_BODIES)
+    add: bool = False
 
 
 class BodyPose(ShortMessage):
