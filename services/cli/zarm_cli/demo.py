@@ -19,7 +19,7 @@ from rich.table import Table
 
 import zarm
 from zarm.robot import Robot
-from zarm_cli.demo_physics import MAP, PANDA, WORLD, clear_table
+from zarm_cli.demo_physics import MAP, PANDA, WORLD, show
 from zarm_cli.execution import demand_success, run_goal
 from zarm_cli.interrupts import pause
 from zarm_cli.launcher import SimulatedDriver, launch
@@ -44,7 +44,7 @@ def demo(
 ) -> None:
     """Watch a robot plan around a post and move there. Nothing to set up, nothing left behind."""
     began = time.monotonic()
-    robot, act = (PANDA, clear_table) if physics else (ROBOT, _go_around_the_post)
+    robot, act = (PANDA, show) if physics else (ROBOT, _go_around_the_post)
     with (
         tempfile.TemporaryDirectory(prefix="zarm-demo-") as state,
         suppress(KeyboardInterrupt) if view else nullcontext(),  # the ordinary end of a demo that waits

@@ -1,4 +1,4 @@
-"""`zarm demo --physics`: a Panda with mass clears a table of blocks that only a depth camera sees."""
+"""`zarm demo --physics`: a Panda with mass clears a table of blocks that only a depth camera sees, and swerves around what falls into its way."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rich.table import Table
 import zarm
 from zarm.robot import Robot
 from zarm_cli.output import numbers, out
-from zarm_contract.messages import Cuboid
+from zarm_contract.messages import Cuboid, GoalState
 
 PANDA = "panda"
 WORLD = ("--world", "blocks")
@@ -22,8 +22,18 @@ CAMERA = zarm.Camera(
     "front", position=(1.1, -0.25, 0.75), look_at=(0.45, 0.0, 0.0), width=640, height=480, fx=600.0, fy=600.0, cx=319.5, cy=239.5
 )  # fmt: skip
 DOWN = (1.0, 0.0, 0.0, 0.0)
+ACROSS = (zarm.Pose((0.45, 0.35, 0.25), DOWN), zarm.Pose((0.5, -0.25, 0.25), DOWN))
+"""From above the tray to the other side of the table."""
+PARCEL = zarm.Cuboid("parcel", size=(0.1, 0.1, 0.3), position=(0.48, -0.02, 0.7))
+"""It falls between these."""
 _LOWEST = 0.02
 """Least height (m) at which the gripper closes."""
+
+
+def show(robot: Robot) -> None:
+    """All of it."""
+    clear_table(robot)
+    swerve(robot)
 
 
 def clear_table(robot: Robot) -> None:
@@ -42,6 +52,27 @@ def clear_table(robot: Robot) -> None:
         table.add_row(block.name, numbers(block.position[:2]), numbers(goal), numbers(there))
         out.print(f"{block.name} is in the tray")
     out.print(Panel(table, title=f"cleared in {time.monotonic() - began:.0f} s", expand=False))
+
+
+def swerve(robot: Robot) -> None:
+    """Let a parcel fall into the way of the arm, which stops for it and goes around."""
+    robot.execute(robot.plan(ACROSS[0]))
+    plan = robot.plan(ACROSS[1], velocity_scale=0.25, acceleration_scale=0.5)
+    states: list[GoalState] = []
+
+    def let_it_fall(state: GoalState) -> None:
+        if not states:
+            robot.simulation.add(PARCEL, mass=0.5)
+            out.print("The arm goes back across the table, and a parcel falls into its way.")
+        states.append(state)
+
+    last = robot.execute(plan, replan=True, on_progress=let_it_fall)
+    stopped = any(state.hold is not None for state in states)
+    parcel = next(body for body in robot.simulation.state().bodies if body.name == PARCEL.name)
+    aside = math.dist(parcel.position[:2], PARCEL.position[:2])
+    how = "stopped and went around it" if stopped else "went around it without a stop"
+    out.print(f"The arm {how}: {last.status} after {last.elapsed:.1f} s instead of {plan.trajectory.duration:.1f} s.")
+    out.print(f"The parcel stands {1000.0 * aside:.0f} mm beside where it fell.")
 
 
 def _move(robot: Robot, block: Cuboid, goal: tuple[float, float]) -> None:
