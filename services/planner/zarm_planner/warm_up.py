@@ -26,6 +26,7 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.voxels import merged
 from zarm_geometry.world import World
 from zarm_planner.cartesian.following import Following
+from zarm_planner.cartesian.joint_curve import JointCurve
 from zarm_planner.cartesian.task import ToolTask
 from zarm_planner.cartesian.timing import time_along
 from zarm_planner.constraints.constrained_search import search_constrained, shortcut_constrained
@@ -108,8 +109,9 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
         line = LineGoal(kind="line", position=(x, y, z + way), orientation_tolerance=("free", "free", "free"))
         with suppress(PlanningFailed):
             task = ToolTask.of(model, line, home)
-            joints = Following(context.scene, deadline, 0, task.curve, task, home).path()
-            task.use_between(task.curve, joints)
+            followed = Following(context.scene, deadline, 0, task.curve, task, home).path()
+            joints = JointCurve.of(task.curve, followed)
+            task.use_between(joints)
             time_along(task.curve, joints, limits, 0.01)
     begin("the search under path constraints")
     constraint = ConstraintManifold.of(model, PathConstraint(axes=(False, False, False, True, True, True)), pose)

@@ -119,6 +119,12 @@ def _oriented(goal: CartesianGoal, begin: Rotation, asked: Quaternion | None) ->
     return Rotation.from_matrix(rotation(asked))
 
 
+def _turn(goal: LineGoal | ArcGoal, begin: Rotation) -> Array:
+    """The rotation vector (3,) from the orientation at the start to that at the end."""
+    end = _oriented(goal, begin, goal.orientation)
+    return np.zeros(3) if end is begin else np.asarray((begin.inv() * end).as_rotvec())
+
+
 def _stations(extent: float, length: float, angle: float) -> Array:
     count = max(_FEWEST, math.ceil(length / _SPACING[0]), math.ceil(angle / _SPACING[1]))
     return np.linspace(0.0, extent, count + 1)
@@ -126,7 +132,7 @@ def _stations(extent: float, length: float, angle: float) -> Array:
 
 def _line(goal: LineGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str) -> ToolCurve:
     b = np.array(goal.position)
-    turn = (begin.inv() * _oriented(goal, begin, goal.orientation)).as_rotvec()
+    turn = _turn(goal, begin)
     if goal.orienting == "tangent":
         turn = np.zeros(3)
     length, angle = float(np.linalg.norm(b - a)), float(np.linalg.norm(turn))
@@ -145,7 +151,7 @@ def _arc(goal: ArcGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str) 
     center, normal, sweep = _around(goal, a, b, field)
     x = a - center
     y = np.cross(normal, x)
-    turn = (begin.inv() * _oriented(goal, begin, goal.orientation)).as_rotvec()
+    turn = _turn(goal, begin)
     length, angle = sweep * float(np.linalg.norm(x)), float(np.linalg.norm(turn))
     if goal.orienting == "tangent":
         angle = sweep

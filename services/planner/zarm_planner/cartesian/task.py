@@ -8,12 +8,12 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from zarm_contract.messages import CartesianGoal, PoseTolerance
 from zarm_geometry.frames import pose_of
 from zarm_geometry.robot_model import RobotModel
 from zarm_planner.cartesian.curve import ToolCurve, tool_curve
+from zarm_planner.cartesian.joint_curve import JointCurve
 from zarm_planner.kernels.pose_region import COMPONENTS
 from zarm_planner.kernels.tool_path import deviations_along
 from zarm_planner.kinematics.pose_region import PoseRegion, tip_frame
@@ -63,13 +63,10 @@ class ToolTask:
         turned = np.maximum(np.abs(out[:, :3]) - regions.tolerance[0, :3], 0.0).max(axis=1)
         return np.asarray(np.maximum(out[:, 6] / DISTANCE, turned / ANGLE))
 
-    def use_between(self, curve: ToolCurve, path: Array) -> float:
-        """The largest use halfway between the stations of `curve`, of the smooth curve through the joints `path` (n, dof)
-        there.
-        """
+    def use_between(self, joints: JointCurve) -> float:
+        """The largest use halfway between the stations of a curve of the joints."""
         worst = 0.0
-        for first, last in curve.sections:
-            stations = curve.stations[first : last + 1]
+        for stations, _, spline in joints.sections:
             middles = (stations[1:] + stations[:-1]) / 2.0
-            worst = max(worst, float(self.use(middles, CubicSpline(stations, path[first : last + 1])(middles)).max()))
+            worst = max(worst, float(self.use(middles, spline(middles)[:, : joints.dof]).max()))
         return worst

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from zarm_contract.messages import ToolMotion
 from zarm_planner.cartesian.curve import ToolCurve
+from zarm_planner.cartesian.joint_curve import PROGRESS, JointCurve, JointSection
 from zarm_planner.kernels.quintic import segment_loads
 from zarm_planner.timing.sampling import TOLERANCE, load, within
 from zarm_planner.timing.time_parameterization import fastest_along, joined
@@ -36,53 +37,34 @@ _RAMP = 0.1
 """s in which the tool's acceleration grows to its full value."""
 _RAMP_FACTOR = 2.0
 """Factor by which it may grow faster than that: no limit of the robot."""
-_PARTS = 4
-"""Parts of each interval between stations by which lengths are measured."""
-_SHARE_STEP = 0.004
-"""s between two looks at how fast the tip moves."""
+_STEP = 0.004
+"""s between two looks at how the tip advances."""
 _AT_SPEED = 0.99
 """Share of a speed that counts as it."""
-PROGRESS = 3
-"""Columns that a motion along a curve has besides the joints: the curve's parameter, the tip's way (m), its turn (rad)."""
 
 
-def time_along(curve: ToolCurve, path: Array, limits: Limits, dt: float) -> TimedTrajectory | None:
-    """The motion along the joints `path` (n, dof) at the curve's stations, at rest at both ends and where the curve
-    rests; with PROGRESS more columns. None if TOPPRA fails numerically.
+def time_along(curve: ToolCurve, joints: JointCurve, limits: Limits, dt: float) -> TimedTrajectory | None:
+    """The motion along the curve of the joints, at rest at both ends and where the tool's curve rests; with PROGRESS more columns. None if TOPPRA fails
+    numerically.
 
     Raises InvalidRequest if the limits make the motion longer than a message holds.
     """
-    measured = _measured(curve)
     parts = []
-    for first, last in curve.sections:
-        stations = curve.stations[first : last + 1]
-        rows = np.column_stack((path[first : last + 1], stations, measured[first : last + 1]))
-        part = _timed(curve, stations, rows, limits, min(dt, _SAMPLING))
+    for section in joints.sections:
+        part = _timed(curve, section, limits, min(dt, _SAMPLING))
         if part is None:
             return None
         parts.append(part)
     return joined(parts)
 
 
-def _measured(curve: ToolCurve) -> Array:
-    """How far the tip has moved (m) and turned (rad) at each station: (n, 2)."""
-    count = len(curve.stations)
-    fine = np.interp(np.arange((count - 1) * _PARTS + 1) / _PARTS, np.arange(count), curve.stations)
-    position, turned = curve.at(fine)
-    moved = np.linalg.norm(np.diff(position, axis=0), axis=1)
-    # The difference of two rotations that are an angle t apart has the Frobenius norm 2 sqrt(2) sin(t / 2).
-    turns = 2.0 * np.arcsin(np.linalg.norm(np.diff(turned, axis=0), axis=(1, 2)) / 8.0**0.5)
-    total = np.insert(np.cumsum(np.column_stack((moved, turns)), axis=0), 0, 0.0, axis=0)
-    return np.asarray(total[::_PARTS])
-
-
-def _timed(curve: ToolCurve, stations: Array, rows: Array, limits: Limits, dt: float) -> TimedTrajectory | None:
-    """The motion through `rows`, joints and columns of PROGRESS, at the stations of a section.
+def _timed(curve: ToolCurve, section: JointSection, limits: Limits, dt: float) -> TimedTrajectory | None:
+    """The motion along a section.
 
     Where it exceeds a limit, which jerk does in corners, its speed is lowered there, and the rest stays as fast as asked.
     """
-    spline = CubicSpline(stations, rows)
-    along = TimedTrajectory(stations - stations[0], rows, spline(stations, 1), spline(stations, 2))
+    stations, spline = section.stations, section.spline
+    along = TimedTrajectory(stations - stations[0], section.rows, spline(stations, 1), spline(stations, 2))
     wide, judged = _with_tool(limits, curve), _with_tool(limits, curve, _RAMP_FACTOR)
     cap = _jerk_cap(spline, wide)
     for number in itertools.count(1):
@@ -149,13 +131,20 @@ class Progress:
         """That of a motion with PROGRESS more columns than joints."""
         return cls(trajectory.columns(slice(dof, None)))
 
-    def parameters(self, times: Array) -> Array:
-        """The curve's parameter (n,) at times (n,) in s."""
-        return np.asarray(self.state.sample(times)[0][:, 0])
+    @cached_property
+    def times(self) -> Array:
+        """Times (n,) in s at which it is looked at, some milliseconds apart."""
+        return np.linspace(0.0, self.state.duration, max(200, int(self.state.duration / _STEP) + 2))
+
+    @cached_property
+    def looks(self) -> tuple[Array, Array]:
+        """The state and its velocity (n, PROGRESS) at `times`."""
+        position, velocity, _ = self.state.sample(self.times)
+        return position, velocity
 
     def fraction(self, time: float) -> float:
         """The share of the curve behind the tip at a time (s)."""
-        parameter = self.parameters(np.array((time,)))[0]
+        parameter = self.state.at(time)[0, 0]
         return float(np.clip(parameter / self.state.position[-1, 0], 0.0, 1.0))
 
     def message(self, curve: ToolCurve) -> ToolMotion:
@@ -169,8 +158,7 @@ class Progress:
 
     def _speed_share(self, curve: ToolCurve) -> float:
         """The share (0..1) of the way on which the tip moves or turns as fast as it may."""
-        times = np.linspace(0.0, self.state.duration, max(200, int(self.state.duration / _SHARE_STEP)))
-        position, velocity, _ = self.state.sample(times)
+        position, velocity = self.looks
         full = (velocity[:, 1] >= _AT_SPEED * curve.speed) | (velocity[:, 2] >= _AT_SPEED * curve.rotational_speed)
         step = np.diff(position[:, 0])
         return float(np.clip(step[full[1:]].sum() / max(step.sum(), 1e-12), 0.0, 1.0))

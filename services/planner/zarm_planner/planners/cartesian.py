@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from zarm_contract.errors import InvalidRequest, PlanningFailed
 from zarm_planner.cartesian.curve import ToolCurve
 from zarm_planner.cartesian.following import Following
+from zarm_planner.cartesian.joint_curve import JointCurve
 from zarm_planner.cartesian.task import ToolTask
 from zarm_planner.cartesian.timing import time_along
 from zarm_planner.context import PlanningContext
@@ -43,10 +44,10 @@ class CartesianPlanner(Planner):
         if (task := problem.tool_task) is None:
             raise InvalidRequest("there is no curve to follow; ask for a line, an arc or a path", field="goal")
         load_toppra()
-        curve, path = self._followed(context, task, problem.start.asked)
+        curve, joints = self._followed(context, task, problem.start.asked)
         with context.timer.stage("timing"):
             await_toppra(context.deadline)
-            trajectory = time_along(curve, path, context.limits, context.dt)
+            trajectory = time_along(curve, joints, context.limits, context.dt)
         if trajectory is not None:
             yield trajectory
 
@@ -55,16 +56,17 @@ class CartesianPlanner(Planner):
         task = problem.tool_task
         return min(context.max_attempts, _ATTEMPTS) if task is not None and task.has_freedom else 1
 
-    def _followed(self, context: PlanningContext, task: ToolTask, start: Array) -> tuple[ToolCurve, Array]:
-        """The curve with as many stations as it takes, and the joints (n, dof) there."""
+    def _followed(self, context: PlanningContext, task: ToolTask, start: Array) -> tuple[ToolCurve, JointCurve]:
+        """The curve with as many stations as it takes, and the curve of the joints along it."""
         curve, furthest = task.curve, -1.0
         for number in range(_REFINEMENTS):
             try:
                 with context.timer.stage("search"):
                     path = Following(context.scene, context.deadline, context.seed, curve, task, start).path()
                 with context.timer.stage("shortcut"):
-                    if task.use_between(curve, path) <= _SHARE:
-                        return curve, path
+                    joints = JointCurve.of(curve, path)
+                    if task.use_between(joints) <= _SHARE:
+                        return curve, joints
             except PlanningFailed as stopped:  # near a singularity the joints move far between two stations
                 fraction = stopped.problem.fraction or 0.0
                 if number == _REFINEMENTS - 1 or (task.has_freedom and fraction < furthest + _GAIN):

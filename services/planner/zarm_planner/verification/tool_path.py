@@ -16,8 +16,6 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
 
-_STEP = 0.004
-"""Interval (s) at which it is checked."""
 _ENDS = 1e-6
 """Share of the curve by which a motion may miss its ends."""
 
@@ -47,8 +45,7 @@ def verify_tool_path(task: ToolTask, trajectory: TimedTrajectory, progress: Prog
     """Raises VerificationFailed unless the tip moves from one end of the curve to the other, never back, within DISTANCE
     and ANGLE.
     """
-    times = np.linspace(0.0, trajectory.duration, int(trajectory.duration / _STEP) + 2)
-    parameters = progress.parameters(times)
+    times, parameters = progress.times, progress.looks[0][:, 0]
     end = float(task.curve.stations[-1])
     if abs(parameters[0]) > _ENDS * end or abs(parameters[-1] - end) > _ENDS * end:
         raise VerificationFailed("the trajectory does not lead from one end of the curve to the other")
