@@ -24,6 +24,16 @@ class ZarmConfig(RobotConfig):
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
 
 
+@CameraConfig.register_subclass("zarm")
+@dataclass(kw_only=True)
+class ZarmCameraConfig(CameraConfig):
+    """A camera by its name on the bus of zarm, and the robot's name there."""
+
+    camera: str
+    connect: str | None = None
+    name: str | None = None
+
+
 @TeleoperatorConfig.register_subclass("zarm")
 @dataclass(kw_only=True)
 class ZarmTeleopConfig(TeleoperatorConfig):

@@ -1,4 +1,5 @@
-"""A policy of LeRobot moves a robot of zarm: `lerobot_policy.py <router> <seconds>`. Prints what LeRobot sees, as JSON.
+"""A policy of LeRobot moves a robot of zarm, whose camera `front` has images of 64 x 48 pixels: `lerobot_policy.py <router> <seconds>`. Prints what
+LeRobot sees, as JSON.
 
 The real lerobot package is used, with nothing behind what it imports for training and cameras.
 """
@@ -70,13 +71,19 @@ sys.meta_path.insert(0, Finder())
 
 def main() -> None:
     """Swing the first joint, and half close the gripper."""
+    from lerobot.cameras import CameraConfig
     from lerobot.robots import RobotConfig, make_robot_from_config
     from lerobot.teleoperators import TeleoperatorConfig, make_teleoperator_from_config
     from lerobot.utils.import_utils import register_third_party_plugins
 
     endpoint, seconds = sys.argv[1], float(sys.argv[2])
     register_third_party_plugins()
-    config = RobotConfig.get_choice_class("zarm")(robot="panda", connect=endpoint, name="panda")
+    front = CameraConfig.get_choice_class("zarm")(
+        camera="front", connect=endpoint, name="panda", width=64, height=48, fps=10
+    )
+    config = RobotConfig.get_choice_class("zarm")(
+        robot="panda", connect=endpoint, name="panda", cameras={"front": front}
+    )
     robot = make_robot_from_config(config)
     teleop = make_teleoperator_from_config(
         TeleoperatorConfig.get_choice_class("zarm")(robot="panda", connect=endpoint, name="panda")
@@ -85,6 +92,7 @@ def main() -> None:
     refused = ""
     with robot, teleop:
         before = robot.get_observation()
+        image = before.pop("front")
         begun = time.monotonic()
         while (passed := time.monotonic() - begun) < seconds:
             action = dict(before)
@@ -98,6 +106,14 @@ def main() -> None:
             robot.send_action({"panda_joint1.pos": 0.0})
         except Exception as error:
             refused = str(error)
+    watching = make_robot_from_config(
+        RobotConfig.get_choice_class("zarm")(robot="panda", connect=endpoint, name="panda", operated=True)
+    )
+    with watching:
+        there = watching.get_observation()
+        watching.send_action({**there, "panda_joint1.pos": there["panda_joint1.pos"] + 0.5})
+        time.sleep(0.5)
+        moved = watching.get_observation()["panda_joint1.pos"] - there["panda_joint1.pos"]
     json.dump(
         {
             "features": features,
@@ -105,7 +121,9 @@ def main() -> None:
             "sent": sent,
             "observed": observed,
             "refused": refused,
+            "moved": moved,
             "type": robot.name,
+            "image": [list(image.shape), image[0, 0].tolist(), robot.observation_features["front"]],
         },
         sys.stdout,
     )

@@ -1,0 +1,67 @@
+"""The colour images of zarm's cameras for LeRobot."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from typing import Any
+
+import numpy as np
+from lerobot.cameras import Camera
+from numpy.typing import NDArray
+
+import zarm
+from lerobot_robot_zarm.config import ZarmCameraConfig
+
+_WAIT = 2.0
+"""Longest wait (s) for an image."""
+
+
+class ZarmCamera(Camera):
+    """A camera that publishes colour images on the bus, as one of ROS through the bridge or of a simulation with physics."""
+
+    def __init__(self, config: ZarmCameraConfig) -> None:
+        super().__init__(config)
+        self._config = config
+        self._stack = ExitStack()
+        self._robot: zarm.Robot | None = None
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether it is connected."""
+        return self._robot is not None
+
+    @staticmethod
+    def find_cameras() -> list[dict[str, Any]]:
+        """None: a bus is named first."""
+        return []
+
+    def connect(self, warmup: bool = True) -> None:
+        """Connect. Raises zarm.Unavailable without a router; with `warmup` also if no image comes."""
+        if self._robot is None:
+            self._robot = self._stack.enter_context(zarm.connect(self._config.connect, self._config.name))
+        if warmup:
+            self.read()
+
+    def read(self, color_mode: Any = None) -> NDArray[np.uint8]:
+        """The next image: red, green and blue (h, w, 3). Raises ConnectionError before it is connected."""
+        return self.async_read(1000.0 * _WAIT)
+
+    def async_read(self, timeout_ms: float = 1000.0 * _WAIT) -> NDArray[np.uint8]:
+        """The next image (h, w, 3). Raises zarm.Unavailable if none comes in time, and InvalidRequest for one of another size than stated."""
+        if self._robot is None:
+            raise ConnectionError(f"the camera {self._config.camera} is not connected; call connect() first")
+        image = self._robot.perception.color(self._config.camera, timeout=timeout_ms / 1000.0)
+        if image.ndim == 2:
+            image = np.repeat(image[:, :, None], 3, axis=2)
+        height, width = image.shape[:2]
+        if (self.width, self.height) not in ((None, None), (width, height)):
+            raise zarm.InvalidRequest(
+                f"images of {self._config.camera} have {width} x {height} pixels; say so, not {self.width} x {self.height}",
+                field="width",
+            )
+        return image
+
+    def disconnect(self) -> None:
+        """Disconnect."""
+        self._robot = None
+        self._stack.close()
