@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import random
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from support.command_line import ZARM, environment
 from support.command_line import zarm as run_zarm
 from support.harness import PATIENCE, ServiceProcess, eventually, router
 from zarm_contract.keys import Keys
-from zarm_contract.messages import AgentAnswer, AgentCall, AgentQuestion, JointState
+from zarm_contract.messages import AgentAnswer, AgentCall, AgentQuestion, Cuboid, JointState, LoadWorld
 from zarm_contract.robot import load_robot
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.bus import Bus
@@ -40,6 +40,7 @@ POLICY: dict[str, Any] = {
     "calls_per_minute": 100000,
 }
 TURNED = [0.5, *HOME[1:]]
+AWAY = [1.2, *HOME[1:]]
 Asked = Callable[[Any, ElicitRequestParams], Awaitable[ElicitResult]]
 
 
@@ -64,11 +65,18 @@ class Cell:
         self.robot.execute(self.robot.plan(HOME))
         self.measured.clear()
 
-    def serve(self, use: Callable[[Agent], Awaitable[None]], asked: Asked | None = None, **policy: Any) -> None:
+    def serve(
+        self,
+        use: Callable[[Agent], Awaitable[None]],
+        asked: Asked | None = None,
+        twin: str | None = None,
+        **policy: Any,
+    ) -> None:
         """Run `use` with an agent under this policy."""
         file = self.folder / "policy.yaml"
         file.write_text(json.dumps(POLICY | policy))
         command = ["mcp", "--robot", self.name, "--policy", str(file), "--connect", self.endpoint]
+        command += [] if twin is None else ["--twin", twin]
 
         async def run() -> None:
             server = StdioServerParameters(command=ZARM, args=command, env=environment())
@@ -243,6 +251,39 @@ def test_an_agent_picks_and_places(tmp_path: Path) -> None:
 
     with ExitStack() as stack:
         Cell(stack, tmp_path, "panda").serve(use, keep_out={})
+
+
+def test_a_twin_with_physics_makes_each_motion_first(cell: Cell, tmp_path: Path) -> None:
+    """The twin knows a post that the planner does not know."""
+    post = Cuboid(kind="cuboid", name="post", position=between(HOME, AWAY), size=(0.05, 0.05, 0.05))
+    far = post.model_copy(update={"position": (0.0, 0.0, 3.0)})
+    with ExitStack() as stack:
+        endpoint = stack.enter_context(router())
+        bus = stack.enter_context(Bus(endpoint))
+        for service, arguments in (("physics_sim", ("--drives", "ideal")), ("planner", ()), ("servo", ()), ("executor", ("--strategy", "joint_trajectory"))):  # fmt: skip
+            process = ServiceProcess(service, endpoint, tmp_path, robot="ur5e", arguments=arguments)
+            stack.enter_context(process).wait_ready(bus, KEYS)
+
+        async def use(agent: Agent) -> None:
+            plan = await agent.get("plan_to_joints", joints=AWAY)
+            bus.call(KEYS.physics_world, LoadWorld(objects=(post,)), timeout=20.0)
+            reason = await agent.refused("execute", plan_id=plan["plan_id"])
+            assert "twin" in reason
+            assert "post" in reason
+            assert away(cell) == 0.0
+            bus.call(KEYS.physics_world, LoadWorld(objects=(far,)), timeout=20.0)
+            again = await agent.get("plan_to_joints", joints=AWAY)
+            done = await agent.get("execute", plan_id=again["plan_id"])
+            assert done["status"] == "succeeded"
+            assert away(cell) == pytest.approx(1.2, abs=1e-3)
+
+        cell.serve(use, twin=endpoint)
+
+
+def between(first: Sequence[float], second: Sequence[float]) -> tuple[float, float, float]:
+    """Where the tip is halfway."""
+    x, y, z = MODEL.fk_tip((np.array(first) + second) / 2.0)[:3, 3].tolist()
+    return x, y, z
 
 
 def test_nothing_an_agent_says_moves_the_robot_out_of_the_policy(cell: Cell) -> None:

@@ -17,6 +17,7 @@ from zarm_mcp.guarded import GuardedExecutor, GuardedPlanner
 from zarm_mcp.plan_store import PlanStore
 from zarm_mcp.policy import Policy, zone_name
 from zarm_mcp.policy_check import PolicyCheck
+from zarm_mcp.twin import Twin
 
 Json = dict[str, Any]
 DOWN = (1.0, 0.0, 0.0, 0.0)
@@ -25,14 +26,14 @@ _KINDS: Mapping[str, type[Cuboid | Sphere | Cylinder]] = {"box": Cuboid, "sphere
 
 
 class Agent:
-    """The tools of an agent for the robot of `connection`, inside a policy. Every method raises a ZarmError that says what to do."""
+    """The tools of an agent for the robot of `connection`, inside a policy; a `twin` makes each motion first. Every method raises a ZarmError that says what to do."""
 
-    def __init__(self, connection: Connection, model: RobotModel, policy: Policy) -> None:
+    def __init__(self, connection: Connection, model: RobotModel, policy: Policy, twin: Twin | None = None) -> None:
         self._model, self._policy = model, policy
         self._robot = Robot(connection)
         check = PolicyCheck(model, policy)
         self._planner = GuardedPlanner(connection, policy, check)
-        self._executor = GuardedExecutor(connection, check)
+        self._executor = GuardedExecutor(connection, check, twin)
         self._grasping = Grasping(connection, self._planner, self._executor)
         self._plans = PlanStore()
         self._added: set[str] = set()

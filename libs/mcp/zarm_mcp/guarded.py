@@ -15,6 +15,7 @@ from zarm_contract.errors import Busy, InvalidRequest
 from zarm_contract.messages import ExecuteRequest, GoalState, Plan, Segment, Trajectory
 from zarm_mcp.policy import Policy
 from zarm_mcp.policy_check import PolicyCheck
+from zarm_mcp.twin import Twin
 
 _SLOWDOWNS = 6
 """A plan is made again so often, slower, until it is inside the policy's speeds."""
@@ -51,11 +52,11 @@ class GuardedPlanner(Planner):
 
 
 class GuardedExecutor(Executor):
-    """Executes plans that a policy allows, one at a time."""
+    """Executes plans that a policy allows, one at a time, and in a twin first if there is one."""
 
-    def __init__(self, connection: Connection, check: PolicyCheck) -> None:
+    def __init__(self, connection: Connection, check: PolicyCheck, twin: Twin | None = None) -> None:
         super().__init__(connection)
-        self._check, self._scene = check, Scene(connection)
+        self._check, self._scene, self._twin = check, Scene(connection), twin
         self._moving = threading.Lock()
 
     def execute(self, what: Plan | Trajectory | ExecuteRequest | str | None = None, **options: Any) -> GoalState:
@@ -63,6 +64,8 @@ class GuardedExecutor(Executor):
         if not isinstance(what, Plan):
             raise InvalidRequest("an agent executes plans only", field="plan")
         self.demand(what)
+        if self._twin is not None:
+            self._twin.rehearse(what, self._scene.read())
         return super().execute(what, **options)
 
     def demand(self, plan: Plan) -> None:

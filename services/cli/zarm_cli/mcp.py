@@ -23,6 +23,12 @@ def mcp(
     http: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="Serve over HTTP instead of stdin and stdout.")
     ] = None,
+    twin: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ENDPOINT", help="The router of a twin, `zarm up --driver physics`, that makes each motion first."
+        ),
+    ] = None,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
@@ -31,4 +37,4 @@ def mcp(
         from zarm_mcp.service import serve
     except ImportError as error:
         raise Unavailable("`zarm mcp` needs the extra `mcp`; install `zarm[mcp]`") from error
-    serve(robot, policy, http, connect, name)
+    serve(robot, policy, http, connect, name, twin)

@@ -1,0 +1,139 @@
+"""A twin with physics, which makes each motion before the robot does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Set as AbstractSet
+
+from zarm.connection import Connection
+from zarm.robot import Robot
+from zarm_contract.errors import ExecutionRefused, Unavailable, ZarmError
+from zarm_contract.messages import (
+    Attached,
+    AttachObject,
+    DetachObject,
+    Joints,
+    LoadScene,
+    PhysicsState,
+    Plan,
+    Scene,
+    SceneEdit,
+    SceneObject,
+)
+from zarm_geometry.frames import matrix, pose_of
+
+_SILENCE = 3.0
+"""s without a state after which no physics runs."""
+_SETTLING = 5.0
+"""Longest wait (s) for drives that settle."""
+_STILL = 0.005
+"""rad/s or m/s of a joint that rests,"""
+_RESTING = 0.3
+"""and for how long (s)."""
+_SLIGHT = 0.5
+"""N that count as no contact: what rests on something else trembles."""
+
+
+class Twin:
+    """A simulation with physics of the same robot, on a bus of its own. `links` are those of the robot."""
+
+    def __init__(self, connection: Connection, links: AbstractSet[str]) -> None:
+        self._robot, self._links = Robot(connection), links
+
+    def rehearse(self, plan: Plan, scene: Scene) -> None:
+        """Make the motion of a plan in a scene. Raises ExecutionRefused that says what was touched, or why it failed, and Unavailable without a twin."""
+        start = plan.trajectory.position[0]
+        try:
+            self._take_over(scene, start, _meant(plan))
+            touched = self._touched_in(plan, {one.object.name for one in scene.attached})
+        except Unavailable:
+            raise
+        except ZarmError as error:
+            raise ExecutionRefused(f"the twin cannot make this motion: {error}; plan another one") from error
+        if touched is not None:
+            raise ExecutionRefused(f"in the twin {touched}; plan another motion, or correct the scene")
+
+    def _take_over(self, scene: Scene, start: Joints, meant: AbstractSet[str]) -> None:
+        """Go to the start, in the scene, with what is attached there; the guard passes over what is `meant` to be touched."""
+        robot = self._robot
+        self._await_rest()
+        if robot.state().mode == "fault":  # from the motion before
+            robot.reset()
+        for name in robot.scene.attached():
+            robot.scene.apply(SceneEdit(edit=DetachObject(op="detach", name=name)))
+        if passed_over := robot.scene.read().ignored_objects:
+            robot.scene.set_object_collision(*passed_over, enabled=True)
+        robot.scene.apply(SceneEdit(edit=LoadScene(op="load", objects=scene.objects)))
+        robot.execute(robot.plan(start))
+        self._await_rest()
+        for one in scene.attached:
+            robot.scene.add(self._placed(one, start))
+            attach = AttachObject(
+                op="attach",
+                name=one.object.name,
+                link=one.link,
+                touch_links=one.touch_links,
+                mass=one.mass,
+                joints=start,
+            )
+            robot.scene.apply(SceneEdit(edit=attach))
+        there = {item.name for item in scene.objects}
+        if passed_over := tuple(there & ({*scene.ignored_objects} | meant)):
+            robot.scene.set_object_collision(*passed_over, enabled=False)
+
+    def _await_rest(self) -> None:
+        """Wait until the drives have settled. Raises Unavailable if they do not."""
+        began = moved = time.monotonic()
+        for state in self._robot.joint_states():
+            now = time.monotonic()
+            if max(map(abs, state.velocity)) > _STILL:
+                moved = now
+            elif now > moved + _RESTING:
+                return
+            if now > began + _SETTLING:
+                raise Unavailable(f"the twin does not come to rest within {_SETTLING:g} s; look at its drives")
+
+    def _placed(self, one: Attached, q: Joints) -> SceneObject:
+        """An attached object where it is with the robot at joints (rad)."""
+        (link,) = self._robot.fk([q], tip=one.link) if one.link is not None else self._robot.fk([q])
+        item = one.object
+        turned = (0.0, 0.0, 0.0, 1.0) if item.kind == "sphere" else item.orientation
+        pose = pose_of(matrix(link.position, link.orientation) @ matrix(item.position, turned))
+        fields = {"position": pose.position, "orientation": pose.orientation}
+        return item.model_copy(update=fields if item.kind != "sphere" else {"position": pose.position})
+
+    def _touched_in(self, plan: Plan, carried: AbstractSet[str]) -> str | None:
+        """What the robot, or what it carries, touches in the motion though the plan does not, if anything."""
+        bus, keys = self._robot.connection.bus, self._robot.connection.keys
+        moving = self._links | carried
+        meant = _meant(plan)
+        before = self._robot.connection.next(keys.physics_state, _SILENCE)
+        if before is None:
+            raise Unavailable("the twin has no physics; start it with `zarm up --driver physics`")
+        known = {_pair(contact.first, contact.second) for contact in before.contacts}
+        found: list[str] = []
+
+        def watch(_: str, state: PhysicsState) -> None:
+            for contact in state.contacts:
+                pair = _pair(contact.first, contact.second)
+                if contact.force > _SLIGHT and pair & moving and not pair <= moving | meant and pair not in known:
+                    found.append(f"{contact.first} touches {contact.second} with {contact.force:.0f} N")
+
+        end = bus.subscribe(keys.physics_state, watch)
+        try:
+            self._robot.execute(plan.trajectory)
+        except ZarmError:
+            if not found:
+                raise
+        finally:
+            end()
+        return found[0] if found else None
+
+
+def _meant(plan: Plan) -> set[str]:
+    """The objects that a plan may touch."""
+    return {name for touch in plan.touches for name in touch.objects}
+
+
+def _pair(first: str, second: str) -> frozenset[str]:
+    return frozenset((first, second))
