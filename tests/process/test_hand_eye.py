@@ -108,8 +108,21 @@ def test_a_camera_beside_the_robot_is_found_by_a_board_on_the_arm(robot: Robot) 
     with painted(robot, "eye", lambda q: image_of(BOARD, SIZE, outward @ MODEL.fk_tip(q) @ on_flange)):
         found = calibrate(robot, "eye", BOARD, board_link="tool0")
     assert_found(found.camera, beside)
-    assert found.error < 0.5
+    assert found.reprojection_error < 0.5
     assert robot.perception.cameras() == (found.camera,)
+
+
+def test_a_board_of_another_size_changes_nothing(robot: Robot) -> None:
+    declared = off(IN_HAND).model_copy(update={"link": "tool0"})
+    robot.perception.add(declared)
+    larger = Board(square=0.044, marker=0.033)
+    refused = pytest.raises(
+        zarm.InvalidRequest, match=r"the reprojection error is .* pixels, so eye stays where it was"
+    )
+    below = painted(robot, "eye", lambda q: image_of(BOARD, SIZE, np.linalg.inv(MODEL.fk_tip(q) @ IN_HAND) @ ON_FLOOR))
+    with below, refused:
+        calibrate(robot, "eye", larger, views=6)
+    assert robot.perception.cameras() == (declared,)
 
 
 @pytest.mark.skipif(
@@ -119,7 +132,7 @@ def test_a_camera_beside_the_robot_is_found_by_a_board_on_the_arm(robot: Robot) 
 def test_cameras_of_a_robot_with_mass_are_found_where_they_are(tmp_path: Path) -> None:
     with cell_of(tmp_path, world="board") as cell:
         robot = cell.robot
-        in_hand = Camera(name="eye", link="tool0", position=(0.05, 0.0, 0.03), **PIXELS)
+        in_hand = Camera(name="eye", link="tool0", position=(0.05, 0.0, 0.03), rate=3.0, **PIXELS)
         robot.perception.add(in_hand)
         robot.execute(robot.plan(zarm.Pose((0.45, 0.0, 0.5), (1.0, 0.0, 0.0, 0.0))))
         found = calibrate(robot, "eye").camera
@@ -130,7 +143,7 @@ def test_cameras_of_a_robot_with_mass_are_found_where_they_are(tmp_path: Path) -
         eventually(lambda: not robot.perception.state().stale, "no camera is missed")
         robot.execute(robot.plan(zarm.Pose((0.35, 0.1, 0.5), (0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5)))))
         carry_board(cell)
-        beside = zarm.Camera("side", position=(1.15, -0.1, 0.55), look_at=(0.35, 0.1, 0.5), **PIXELS)
+        beside = zarm.Camera("side", position=(1.15, -0.1, 0.55), look_at=(0.35, 0.1, 0.5), rate=3.0, **PIXELS)
         robot.perception.add(beside)
         found = calibrate(robot, "side", board_link="tool0").camera
         assert_found(found, matrix(beside.position, beside.orientation))
@@ -165,6 +178,8 @@ def test_a_camera_that_cannot_be_calibrated_is_refused_by_field(robot: Robot) ->
         calibrate(robot, "eye", board_link="tool0")
     with pytest.raises(zarm.InvalidRequest, match=r"markers of 0.05 m do not fit into squares of 0.04 m"):
         Board(marker=0.05)
+    with pytest.raises(zarm.InvalidRequest, match="4 views do not determine the pose; use 5 or more"):
+        calibrate(robot, "eye", views=4)
     blank = np.full((480, 640), 200, np.uint8)
     seen = pytest.raises(zarm.Unavailable, match="the camera eye sees no board; move the arm until it sees all of it")
     with painted(robot, "eye", lambda _: blank), seen:

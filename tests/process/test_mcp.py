@@ -253,6 +253,7 @@ def test_an_agent_picks_and_places(tmp_path: Path) -> None:
         Cell(stack, tmp_path, "panda").serve(use, keep_out={})
 
 
+@pytest.mark.timeout(400)
 def test_a_twin_with_physics_makes_each_motion_first(cell: Cell, tmp_path: Path) -> None:
     """The twin knows a post that the planner does not know."""
     post = Cuboid(kind="cuboid", name="post", position=between(HOME, AWAY), size=(0.05, 0.05, 0.05))
@@ -272,12 +273,30 @@ def test_a_twin_with_physics_makes_each_motion_first(cell: Cell, tmp_path: Path)
             assert "post" in reason
             assert away(cell) == 0.0
             bus.call(KEYS.physics_world, LoadWorld(objects=(far,)), timeout=20.0)
+            plan = await agent.get("plan_to_joints", joints=AWAY)
+            async with anyio.create_task_group() as both:
+                both.start_soon(stop_when_the_twin_moves, agent, bus)
+                assert "stopped while the twin made this motion" in await agent.refused(
+                    "execute", plan_id=plan["plan_id"]
+                )
+            assert away(cell) == 0.0
             again = await agent.get("plan_to_joints", joints=AWAY)
             done = await agent.get("execute", plan_id=again["plan_id"])
             assert done["status"] == "succeeded"
             assert away(cell) == pytest.approx(1.2, abs=1e-3)
 
         cell.serve(use, twin=endpoint)
+
+
+async def stop_when_the_twin_moves(agent: Agent, bus: Bus) -> None:
+    states: list[JointState] = []
+    end = bus.subscribe(KEYS.joint_states, lambda _, state: states.append(state))
+    far = AWAY[0] - 0.4  # beyond the post
+    await anyio.to_thread.run_sync(
+        lambda: eventually(lambda: bool(states) and states[-1].position[0] > far, "the twin moves")
+    )
+    end()
+    await agent.get("stop")
 
 
 def between(first: Sequence[float], second: Sequence[float]) -> tuple[float, float, float]:

@@ -85,8 +85,6 @@ class Perception(Calls):
         """The next colour image of a camera that was taken after a Unix time (s): bytes of grey (h, w), or of red, green and blue (h, w, 3). Raises Unavailable if
         none comes within `timeout` s.
         """
-        import numpy as np
-
         newest: Newest[bytes] = Newest()
         end = self.connection.bus.listen(self._keys.color(camera), lambda _, payload: newest.put(payload))
         until = time.monotonic() + timeout
@@ -95,12 +93,9 @@ class Perception(Calls):
                 payload = self.connection.interrupts.run_interruptibly(partial(newest.take, left))
                 if payload is None:
                     break
-                header, pixels = decode_color(payload)
-                if header.stamp > after:
-                    shape = (
-                        (header.height, header.width, 3) if header.encoding == "rgb8" else (header.height, header.width)
-                    )
-                    return np.frombuffer(pixels, np.uint8).reshape(shape)
+                stamp, image = color_image(payload)
+                if stamp > after:
+                    return image
         finally:
             end()
         raise Unavailable(
@@ -194,3 +189,12 @@ class Perception(Calls):
     def state(self) -> PerceptionState:
         """What the cameras see, and whether they do."""
         return self.connection.read(self._keys.perception_state)
+
+
+def color_image(payload: bytes) -> tuple[float, NDArray[np.uint8]]:
+    """When a colour image on the bus was taken (Unix time, s), and its pixels: (h, w) of grey, or (h, w, 3). Raises InvalidRequest."""
+    import numpy as np
+
+    header, pixels = decode_color(payload)
+    image = np.frombuffer(pixels, np.uint8)
+    return header.stamp, image.reshape((header.height, header.width, 3)[: 2 if header.encoding == "mono8" else 3])

@@ -75,7 +75,7 @@ class WorldFile(Section):
     moving: list[Moving] = Field(default=[])
     """Objects that move by themselves."""
     textures: dict[str, str] = Field(default={})
-    """What cuboids look like to cameras, by name: the PNG file, beside this one, of a picture on the side that their z axis leaves, with its first row at y = +."""
+    """What cuboids look like to cameras, by name: the PNG file, beside this one, of a picture on their +z face, with the first row towards +y."""
 
 
 def find_world(name_or_path: str) -> Path:

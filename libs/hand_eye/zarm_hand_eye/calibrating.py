@@ -20,6 +20,10 @@ from zarm_hand_eye.viewpoints import viewpoints
 
 Array = NDArray[np.float64]
 
+FEWEST = 5
+"""Views without which the pose is not determined well."""
+MOST_ERROR = 2.0
+"""Largest reprojection error (pixels, RMS) of a calibration that counts."""
 _SETTLE = 0.5
 """s from the end of a motion until the arm rests, as the camera sees it."""
 _TRIES = 6
@@ -32,15 +36,15 @@ _ENOUGH = 8
 class Calibration:
     """A `camera` where it was found to be, from so many `views`; in hand, or beside the robot in the frame of its base.
 
-    `error` is the RMS distance (pixels) of the board's corners from where they should be in the images. `position_error` (m) and `angle_error` (rad) are the standard deviations of
-    the pose that follow from it.
+    `reprojection_error` is the RMS distance (pixels) of the board's corners from where they should be in the images. `position_std` (m) and `angle_std` (rad) are the standard deviations
+    of the pose that follow from it.
     """
 
     camera: Camera
     views: int
-    error: float
-    position_error: float
-    angle_error: float
+    reprojection_error: float
+    position_std: float
+    angle_std: float
 
 
 def calibrate(
@@ -60,8 +64,10 @@ def calibrate(
     the base, and the board is fixed to `board_link`. The robot moves through `views` poses around the present one, each planned, and
     back. `report` is told what happens.
 
-    Raises InvalidRequest for a camera that cannot be calibrated, Unavailable where it sees no board or too few poses are reached, and what planning and execution raise.
+    Raises InvalidRequest for a camera that cannot be calibrated, or whose images contradict each other by more than MOST_ERROR, and leaves it where it was; Unavailable where it sees no board or too few poses are reached, and what planning and execution raise.
     """
+    if views < FEWEST:
+        raise InvalidRequest(f"{views} views do not determine the pose; use {FEWEST} or more", field="views")
     cell = _Cell.of(robot, camera, board or Board(), board_link)
     start = robot.joint_state().position
     cell.look()
@@ -87,9 +93,15 @@ def calibrate(
             f"the board is seen from {len(cell.seen)} of {views} poses that can be reached; begin where the arm has room on all sides and the board fills half of the image"
         )
     solved = cell.solved()
+    if solved.reprojection_error > MOST_ERROR:
+        raise InvalidRequest(
+            f"the reprojection error is {solved.reprojection_error:.1f} pixels, so {camera} stays where it was; see that the board does not move or bend, that its squares have "
+            "the size that is stated, and that the intrinsics are those of the images",
+            field="board",
+        )
     found = cell.camera.model_copy(update=_fields(solved.camera))
     robot.perception.add(found)
-    return Calibration(found, len(cell.seen), solved.error, solved.position_error, solved.angle_error)
+    return Calibration(found, len(cell.seen), solved.reprojection_error, solved.position_std, solved.angle_std)
 
 
 @dataclass(frozen=True)

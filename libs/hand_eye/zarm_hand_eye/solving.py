@@ -24,15 +24,15 @@ Array = NDArray[np.float64]
 class Solution:
     """The camera (4, 4) in the frame that it is fixed to, and the board (4, 4) in the frame that this one is fixed to.
 
-    `error` is the RMS distance (pixels) of the corners from where they should be; `position_error` (m) and `angle_error` (rad) are the standard deviations of
+    `reprojection_error` is the RMS distance (pixels) of the corners from where they should be; `position_std` (m) and `angle_std` (rad) are the standard deviations of
     the camera's pose that follow from it.
     """
 
     camera: Array
     board: Array
-    error: float
-    position_error: float
-    angle_error: float
+    reprojection_error: float
+    position_std: float
+    angle_std: float
 
 
 def solve(places: Sequence[Array], views: Sequence[View], intrinsics: Intrinsics) -> Solution:
@@ -67,9 +67,9 @@ def solve(places: Sequence[Array], views: Sequence[View], intrinsics: Intrinsics
     return Solution(
         camera=_moved(camera, found.x[:6]),
         board=_moved(board, found.x[6:]),
-        error=float(np.sqrt(2.0 * np.mean(found.fun**2))),
-        position_error=float(np.sqrt(spread[3:6].sum())),
-        angle_error=float(np.sqrt(spread[:3].sum())),
+        reprojection_error=float(np.sqrt(2.0 * np.mean(found.fun**2))),
+        position_std=float(np.sqrt(spread[3:6].sum())),
+        angle_std=float(np.sqrt(spread[:3].sum())),
     )
 
 

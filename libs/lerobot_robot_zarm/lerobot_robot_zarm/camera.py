@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from contextlib import ExitStack
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 import zarm
 from lerobot_robot_zarm.config import ZarmCameraConfig
+from zarm.perception import color_image
 
 _WAIT = 2.0
 """Longest wait (s) for an image."""
@@ -24,6 +26,8 @@ class ZarmCamera(Camera):
         self._config = config
         self._stack = ExitStack()
         self._robot: zarm.Robot | None = None
+        self._newest: bytes | None = None
+        self._came = threading.Condition()
 
     @property
     def is_connected(self) -> bool:
@@ -38,19 +42,30 @@ class ZarmCamera(Camera):
     def connect(self, warmup: bool = True) -> None:
         """Connect. Raises zarm.Unavailable without a router; with `warmup` also if no image comes."""
         if self._robot is None:
-            self._robot = self._stack.enter_context(zarm.connect(self._config.connect, self._config.name))
+            robot = self._robot = self._stack.enter_context(zarm.connect(self._config.connect, self._config.name))
+            bus, keys = robot.connection.bus, robot.connection.keys
+            self._stack.callback(bus.listen(keys.color(self._config.camera), self._take))
         if warmup:
             self.read()
 
     def read(self, color_mode: Any = None) -> NDArray[np.uint8]:
-        """The next image: red, green and blue (h, w, 3). Raises ConnectionError before it is connected."""
+        """An image that comes from now on: red, green and blue (h, w, 3). Raises what `async_read` raises."""
+        with self._came:
+            self._newest = None
         return self.async_read(1000.0 * _WAIT)
 
     def async_read(self, timeout_ms: float = 1000.0 * _WAIT) -> NDArray[np.uint8]:
-        """The next image (h, w, 3). Raises zarm.Unavailable if none comes in time, and InvalidRequest for one of another size than stated."""
+        """The newest image (h, w, 3), at once if there is one: a policy must not wait for a slow camera. Raises ConnectionError before it is connected,
+        zarm.Unavailable if none comes in time, and InvalidRequest for one of another size than stated.
+        """
         if self._robot is None:
             raise ConnectionError(f"the camera {self._config.camera} is not connected; call connect() first")
-        image = self._robot.perception.color(self._config.camera, timeout=timeout_ms / 1000.0)
+        with self._came:
+            self._came.wait_for(lambda: self._newest is not None, timeout_ms / 1000.0)
+            payload = self._newest
+        if payload is None:
+            raise zarm.Unavailable(f"no colour image of {self._config.camera} came within {timeout_ms:g} ms")
+        _, image = color_image(payload)
         if image.ndim == 2:
             image = np.repeat(image[:, :, None], 3, axis=2)
         height, width = image.shape[:2]
@@ -63,5 +78,10 @@ class ZarmCamera(Camera):
 
     def disconnect(self) -> None:
         """Disconnect."""
-        self._robot = None
+        self._robot = self._newest = None
         self._stack.close()
+
+    def _take(self, _key: str, payload: bytes) -> None:
+        with self._came:
+            self._newest = payload
+            self._came.notify_all()

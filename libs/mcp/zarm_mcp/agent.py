@@ -188,7 +188,7 @@ class Agent:
 
     def stop(self) -> Json:
         """Stop the robot."""
-        self._robot.stop()
+        self._executor.stop()
         return {"mode": self._robot.state().mode}
 
     def _demand_edits(self) -> None:

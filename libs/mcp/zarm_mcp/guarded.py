@@ -11,8 +11,8 @@ from zarm.connection import Connection
 from zarm.executor import Executor
 from zarm.planner import Planner
 from zarm.scene import Scene
-from zarm_contract.errors import Busy, InvalidRequest
-from zarm_contract.messages import ExecuteRequest, GoalState, Plan, Segment, Trajectory
+from zarm_contract.errors import Busy, Cancelled, InvalidRequest
+from zarm_contract.messages import ExecuteRequest, ExecutorState, GoalState, Plan, Segment, Trajectory
 from zarm_mcp.policy import Policy
 from zarm_mcp.policy_check import PolicyCheck
 from zarm_mcp.twin import Twin
@@ -58,6 +58,7 @@ class GuardedExecutor(Executor):
         super().__init__(connection)
         self._check, self._scene, self._twin = check, Scene(connection), twin
         self._moving = threading.Lock()
+        self._stops = 0
 
     def execute(self, what: Plan | Trajectory | ExecuteRequest | str | None = None, **options: Any) -> GoalState:
         """`Executor.execute` of a plan that the policy allows. Raises ExecutionRefused for another."""
@@ -65,8 +66,16 @@ class GuardedExecutor(Executor):
             raise InvalidRequest("an agent executes plans only", field="plan")
         self.demand(what)
         if self._twin is not None:
+            stops = self._stops
             self._twin.rehearse(what, self._scene.read())
+            if self._stops != stops:
+                raise Cancelled("stopped while the twin made this motion; plan again")
         return super().execute(what, **options)
+
+    def stop(self) -> ExecutorState:
+        """`Executor.stop`; a motion that the twin makes now is not made by the robot."""
+        self._stops += 1
+        return super().stop()
 
     def demand(self, plan: Plan) -> None:
         """Raise ExecutionRefused unless the policy allows a plan with what is attached now."""

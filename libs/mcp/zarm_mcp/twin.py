@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Set as AbstractSet
 
+import numpy as np
+
 from zarm.connection import Connection
 from zarm.robot import Robot
 from zarm_contract.errors import ExecutionRefused, Unavailable, ZarmError
@@ -26,6 +28,8 @@ _SILENCE = 3.0
 """s without a state after which no physics runs."""
 _SETTLING = 5.0
 """Longest wait (s) for drives that settle."""
+_THERE = 0.002
+"""rad or m from the start of a motion within which it is made from there; the executor goes to the start first."""
 _STILL = 0.005
 """rad/s or m/s of a joint that rests,"""
 _RESTING = 0.3
@@ -46,8 +50,8 @@ class Twin:
         try:
             self._take_over(scene, start, _meant(plan))
             touched = self._touched_in(plan, {one.object.name for one in scene.attached})
-        except Unavailable:
-            raise
+        except Unavailable as error:
+            raise Unavailable(f"the twin: {error}") from error
         except ZarmError as error:
             raise ExecutionRefused(f"the twin cannot make this motion: {error}; plan another one") from error
         if touched is not None:
@@ -64,8 +68,9 @@ class Twin:
         if passed_over := robot.scene.read().ignored_objects:
             robot.scene.set_object_collision(*passed_over, enabled=True)
         robot.scene.apply(SceneEdit(edit=LoadScene(op="load", objects=scene.objects)))
-        robot.execute(robot.plan(start))
-        self._await_rest()
+        if not np.allclose(robot.joint_state().position, start, rtol=0.0, atol=_THERE):
+            robot.execute(robot.plan(start))
+            self._await_rest()
         for one in scene.attached:
             robot.scene.add(self._placed(one, start))
             attach = AttachObject(
@@ -91,7 +96,7 @@ class Twin:
             elif now > moved + _RESTING:
                 return
             if now > began + _SETTLING:
-                raise Unavailable(f"the twin does not come to rest within {_SETTLING:g} s; look at its drives")
+                raise Unavailable(f"it does not come to rest within {_SETTLING:g} s; look at its drives")
 
     def _placed(self, one: Attached, q: Joints) -> SceneObject:
         """An attached object where it is with the robot at joints (rad)."""
@@ -109,7 +114,7 @@ class Twin:
         meant = _meant(plan)
         before = self._robot.connection.next(keys.physics_state, _SILENCE)
         if before is None:
-            raise Unavailable("the twin has no physics; start it with `zarm up --driver physics`")
+            raise Unavailable("it has no physics; start it with `zarm up --driver physics`")
         known = {_pair(contact.first, contact.second) for contact in before.contacts}
         found: list[str] = []
 

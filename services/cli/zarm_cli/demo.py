@@ -39,7 +39,11 @@ _SCALE = 0.4  # of the robot's limits: slow enough to watch
 def demo(
     view: Annotated[bool, typer.Option("--view", help="Show it in the browser, and keep running.")] = False,
     physics: Annotated[
-        bool, typer.Option("--physics", help="A robot with mass clears a table whose blocks a depth camera sees.")
+        bool,
+        typer.Option(
+            "--physics",
+            help="A robot with mass clears a table whose blocks a depth camera sees, and goes around a parcel that falls.",
+        ),
     ] = False,
 ) -> None:
     """Watch a robot plan around a post and move there. Nothing to set up, nothing left behind."""

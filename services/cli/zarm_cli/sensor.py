@@ -207,8 +207,8 @@ def calibrate(
             ("position", f"{numbers(found.camera.position, 5)} m"),
             ("orientation", f"{numbers(found.camera.orientation, 5)} (x, y, z, w)"),
             ("views", str(found.views)),
-            ("error", f"{found.error:.2f} pixels in the images"),
-            ("uncertain", f"{1000.0 * found.position_error:.2f} mm, {math.degrees(found.angle_error):.3f} deg"),
+            ("reprojection", f"error of {found.reprojection_error:.2f} pixels (RMS)"),
+            ("deviation", f"{1000.0 * found.position_std:.2f} mm, {math.degrees(found.angle_std):.3f} deg"),
         )
     )
 

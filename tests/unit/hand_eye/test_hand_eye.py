@@ -51,7 +51,7 @@ def solved(seed: int, noise: float, count: int = 15) -> tuple[Solution, Array]:
 def test_without_noise_the_camera_is_found_exactly(seed: int) -> None:
     solution, camera = solved(seed, 0.0)
     np.testing.assert_allclose(solution.camera, camera, atol=1e-7)
-    assert solution.error < 1e-5
+    assert solution.reprojection_error < 1e-5
 
 
 def test_with_noise_the_camera_is_as_near_as_the_solution_says() -> None:
@@ -59,10 +59,10 @@ def test_with_noise_the_camera_is_as_near_as_the_solution_says() -> None:
     shares = []
     for seed in range(30):
         solution, camera = solved(seed, 0.3)
-        shares.append(np.linalg.norm(solution.camera[:3, 3] - camera[:3, 3]) / solution.position_error)
+        shares.append(np.linalg.norm(solution.camera[:3, 3] - camera[:3, 3]) / solution.position_std)
         turn = Rotation.from_matrix(solution.camera[:3, :3].T @ camera[:3, :3]).magnitude()
-        shares.append(turn / solution.angle_error)
-        assert solution.error == pytest.approx(0.3 * np.sqrt(2.0), rel=0.15)
+        shares.append(turn / solution.angle_std)
+        assert solution.reprojection_error == pytest.approx(0.3 * np.sqrt(2.0), rel=0.15)
     assert 0.7 < np.sqrt(np.mean(np.square(shares))) < 1.4
 
 

@@ -45,7 +45,7 @@ class Conveyor(ShortMessage):
 
 
 class Texture(ShortMessage):
-    """What the cuboid `name` looks like to cameras: a picture on the side that its z axis leaves, with its first row at y = +, and on the one behind. `image` is a PNG
+    """What the cuboid `name` looks like to cameras: a picture on its +z and -z faces, with the first row towards +y. `image` is a PNG
     in base64.
     """
 

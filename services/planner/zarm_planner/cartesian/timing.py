@@ -38,7 +38,7 @@ _RAMP = 0.1
 _RAMP_FACTOR = 2.0
 """Factor by which it may grow faster than that: no limit of the robot."""
 _STEP = 0.004
-"""s between two looks at how the tip advances."""
+"""s between two samples of how the tip advances."""
 _AT_SPEED = 0.99
 """Share of a speed that counts as it."""
 
@@ -133,11 +133,11 @@ class Progress:
 
     @cached_property
     def times(self) -> Array:
-        """Times (n,) in s at which it is looked at, some milliseconds apart."""
+        """Times (n,) in s of the `samples`, at most some milliseconds apart."""
         return np.linspace(0.0, self.state.duration, max(200, int(self.state.duration / _STEP) + 2))
 
     @cached_property
-    def looks(self) -> tuple[Array, Array]:
+    def samples(self) -> tuple[Array, Array]:
         """The state and its velocity (n, PROGRESS) at `times`."""
         position, velocity, _ = self.state.sample(self.times)
         return position, velocity
@@ -158,7 +158,7 @@ class Progress:
 
     def _speed_share(self, curve: ToolCurve) -> float:
         """The share (0..1) of the way on which the tip moves or turns as fast as it may."""
-        position, velocity = self.looks
+        position, velocity = self.samples
         full = (velocity[:, 1] >= _AT_SPEED * curve.speed) | (velocity[:, 2] >= _AT_SPEED * curve.rotational_speed)
         step = np.diff(position[:, 0])
         return float(np.clip(step[full[1:]].sum() / max(step.sum(), 1e-12), 0.0, 1.0))

@@ -45,7 +45,7 @@ def verify_tool_path(task: ToolTask, trajectory: TimedTrajectory, progress: Prog
     """Raises VerificationFailed unless the tip moves from one end of the curve to the other, never back, within DISTANCE
     and ANGLE.
     """
-    times, parameters = progress.times, progress.looks[0][:, 0]
+    times, parameters = progress.times, progress.samples[0][:, 0]
     end = float(task.curve.stations[-1])
     if abs(parameters[0]) > _ENDS * end or abs(parameters[-1] - end) > _ENDS * end:
         raise VerificationFailed("the trajectory does not lead from one end of the curve to the other")
