@@ -238,7 +238,9 @@ def test_an_agent_slows_the_robot_down_but_not_up_beyond_what_somebody_else_has_
     cell.robot.speed(1.0)
 
 
-def test_an_agent_picks_and_places(tmp_path: Path) -> None:
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("with_twin", [False, True])
+def test_an_agent_picks_and_places(tmp_path: Path, with_twin: bool) -> None:
     async def use(agent: Agent) -> None:
         await agent.get("add_object", name="table", shape="box", size=[0.6, 0.8, 0.04], position=[0.5, 0.0, -0.02])
         await agent.get("add_object", name="cube", shape="box", size=[0.04, 0.04, 0.06], position=[0.5, 0.1, 0.032])
@@ -250,7 +252,25 @@ def test_an_agent_picks_and_places(tmp_path: Path) -> None:
         assert cube["position"][1] == pytest.approx(-0.15, abs=0.01)
 
     with ExitStack() as stack:
-        Cell(stack, tmp_path, "panda").serve(use, keep_out={})
+        (tmp_path / "twin").mkdir()
+        twin = twin_of(stack, tmp_path / "twin", "panda") if with_twin else None
+        Cell(stack, tmp_path, "panda").serve(use, twin=twin, keep_out={})
+
+
+def twin_of(stack: ExitStack, folder: Path, name: str) -> str:
+    """The endpoint of the same robot with mass, on a bus of its own."""
+    endpoint = stack.enter_context(router())
+    bus = stack.enter_context(Bus(endpoint))
+    started: dict[str, tuple[str, ...]] = {
+        "physics_sim": ("--drives", "ideal"),
+        "planner": (),
+        "servo": (),
+        "executor": ("--strategy", "joint_trajectory"),
+    }
+    for service, arguments in started.items():
+        process = ServiceProcess(service, endpoint, folder, robot=name, arguments=arguments)
+        stack.enter_context(process).wait_ready(bus, Keys(name))
+    return endpoint
 
 
 @pytest.mark.timeout(400)
@@ -259,11 +279,8 @@ def test_a_twin_with_physics_makes_each_motion_first(cell: Cell, tmp_path: Path)
     post = Cuboid(kind="cuboid", name="post", position=between(HOME, AWAY), size=(0.05, 0.05, 0.05))
     far = post.model_copy(update={"position": (0.0, 0.0, 3.0)})
     with ExitStack() as stack:
-        endpoint = stack.enter_context(router())
+        endpoint = twin_of(stack, tmp_path, "ur5e")
         bus = stack.enter_context(Bus(endpoint))
-        for service, arguments in (("physics_sim", ("--drives", "ideal")), ("planner", ()), ("servo", ()), ("executor", ("--strategy", "joint_trajectory"))):  # fmt: skip
-            process = ServiceProcess(service, endpoint, tmp_path, robot="ur5e", arguments=arguments)
-            stack.enter_context(process).wait_ready(bus, KEYS)
 
         async def use(agent: Agent) -> None:
             plan = await agent.get("plan_to_joints", joints=AWAY)

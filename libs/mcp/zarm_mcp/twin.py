@@ -32,8 +32,8 @@ _THERE = 0.002
 """rad or m from the start of a motion within which it is made from there; the executor goes to the start first."""
 _STILL = 0.005
 """rad/s or m/s of a joint that rests,"""
-_RESTING = 0.3
-"""and for how long (s)."""
+_RESTING = 1.0
+"""and for how long (s): a change of the scene comes to the physics some tenths of a second later."""
 _SLIGHT = 0.5
 """N that count as no contact: what rests on something else trembles."""
 
@@ -68,9 +68,9 @@ class Twin:
         if passed_over := robot.scene.read().ignored_objects:
             robot.scene.set_object_collision(*passed_over, enabled=True)
         robot.scene.apply(SceneEdit(edit=LoadScene(op="load", objects=scene.objects)))
+        self._await_rest()  # what it pressed on may be gone
         if not np.allclose(robot.joint_state().position, start, rtol=0.0, atol=_THERE):
             robot.execute(robot.plan(start))
-            self._await_rest()
         for one in scene.attached:
             robot.scene.add(self._placed(one, start))
             attach = AttachObject(
@@ -85,6 +85,7 @@ class Twin:
         there = {item.name for item in scene.objects}
         if passed_over := tuple(there & ({*scene.ignored_objects} | meant)):
             robot.scene.set_object_collision(*passed_over, enabled=False)
+        self._await_rest()
 
     def _await_rest(self) -> None:
         """Wait until the drives have settled. Raises Unavailable if they do not."""
