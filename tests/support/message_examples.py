@@ -95,10 +95,26 @@ _CLOUD = m.PointCloud(
 )
 _PACKED = m.PointCloud(kind="cloud", name="far", points="AAAAAAAA8D8AAAAAAAAAQAAAAAAAAAhA")
 _OBJECTS = (_CUBOID, _SPHERE, _CAPSULE, _CYLINDER, _MESH, _VOXELS)
-_ATTACHED = m.Attached(object=_CUBOID, touch_links=("finger_left",), parts=(_CUBOID,), link="left_tcp", mass=1.5)
-_ATTACH = m.AttachObject(
-    op="attach", name="table", touch_links=("finger_left",), joints=(0.1, 0.2), link="left_tcp", mass=1.5
+_ATTACHED = m.Attached(
+    object=_CUBOID,
+    touch_links=("finger_left",),
+    parts=(_CUBOID,),
+    link="left_tcp",
+    mass=1.5,
+    center=(0.0, 0.1, 0.02),
+    tool="welder",
 )
+_ATTACH = m.AttachObject(
+    op="attach",
+    name="table",
+    touch_links=("finger_left",),
+    joints=(0.1, 0.2),
+    link="left_tcp",
+    mass=1.5,
+    center=(0.0, 0.1, 0.02),
+)
+_MOUNT = m.MountTool(op="mount", tool="welder")
+_UNMOUNT = m.UnmountTool(op="unmount", tool="welder")
 _DETACH = m.DetachObject(op="detach", name="table", joints=(0.1, 0.2))
 _LINKS = m.SetLinkCollision(op="links", names=("link_5",), enabled=False)
 _OBJECTS_OFF = m.SetObjectCollision(op="objects", names=("table",), enabled=False)
@@ -119,7 +135,15 @@ _TOUCH = m.Touch(objects=("part", "bin"), begin=0.5, end=1.25)
 _WITH_WAYS = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), approach=_OFFSET, retreat=_OFFSET)
 _SEGMENTS = (
     m.Move(kind="move", goal=_WITH_WAYS, name="pick", touch=("bin",), blend=0.02, group="torso+left"),
-    m.Attach(kind="attach", object="part", touch_links=("finger",), name="grasp", link="left_tcp", mass=1.5),
+    m.Attach(
+        kind="attach",
+        object="part",
+        touch_links=("finger",),
+        name="grasp",
+        link="left_tcp",
+        mass=1.5,
+        center=(0.0, 0.1, 0.02),
+    ),
     m.Wait(kind="wait", duration=0.5, name="settle"),
     m.SpeedChange(kind="speed", velocity_scale=0.5, acceleration_scale=0.25, name="slow"),
     m.Grip(kind="grip", width=0.04),
@@ -362,6 +386,8 @@ EXAMPLES: tuple[Message, ...] = (
     _CLOUD,
     _ATTACHED,
     _ATTACH,
+    _MOUNT,
+    _UNMOUNT,
     _DETACH,
     _LINKS,
     _OBJECTS_OFF,
@@ -371,6 +397,8 @@ EXAMPLES: tuple[Message, ...] = (
     m.SceneEdit(edit=_LOAD),
     m.SceneEdit(edit=_ATTACH),
     m.SceneEdit(edit=_DETACH),
+    m.SceneEdit(edit=_MOUNT),
+    m.SceneEdit(edit=_UNMOUNT),
     m.SceneEdit(edit=_LINKS),
     m.SceneEdit(edit=_OBJECTS_OFF),
     m.SceneEdited(revision=_REVISION, count=4, notes=("crate: a hole of at most 10 mm closed",)),

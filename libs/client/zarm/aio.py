@@ -235,6 +235,8 @@ class Scene(_Twin[zarm.scene.Scene]):
     clear = _awaited(zarm.scene.Scene.clear)
     attach = _awaited(zarm.scene.Scene.attach)
     detach = _awaited(zarm.scene.Scene.detach)
+    mount = _awaited(zarm.scene.Scene.mount)
+    unmount = _awaited(zarm.scene.Scene.unmount)
     set_link_collision = _awaited(zarm.scene.Scene.set_link_collision)
     set_object_collision = _awaited(zarm.scene.Scene.set_object_collision)
     move = _awaited(zarm.scene.Scene.move)

@@ -283,7 +283,9 @@ class SpeedChange(Checked, messages.SpeedChange):
 
 
 class Attach(Checked, messages.Attach):
-    """A segment of a program: attach an object of the scene to the tip, or to a `link`; it may touch `touch_links`."""
+    """A segment of a program: attach an object of the scene to the tip, or to a `link`; it may touch `touch_links`, and weighs `mass` (kg) with its
+    `center` in its own frame (m; default: its middle).
+    """
 
     def __init__(
         self,
@@ -291,9 +293,19 @@ class Attach(Checked, messages.Attach):
         touch_links: Iterable[str] = (),
         *,
         link: str | None = None,
+        mass: float | None = None,
+        center: tuple[float, float, float] | None = None,
         name: str | None = None,
     ) -> None:
-        super().__init__(kind="attach", object=object, touch_links=tuple(touch_links), link=link, name=name)
+        super().__init__(
+            kind="attach",
+            object=object,
+            touch_links=tuple(touch_links),
+            link=link,
+            mass=mass,
+            center=center,
+            name=name,
+        )
 
 
 class Detach(Checked, messages.Detach):

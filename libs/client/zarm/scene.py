@@ -69,19 +69,32 @@ class Scene:
         joints: Numbers | None = None,
         link: str | None = None,
         mass: float | None = None,
+        center: Numbers | None = None,
     ) -> SceneEdited:
         """Attach an object of the scene to the tip, or to a `link`; it keeps its pose relative to that at `joints`.
 
         `joints` (rad) are by default the measured ones. The object may touch `touch_links`, such as a gripper's
         fingers. A mesh or voxel object is attached as at most 32 cuboids that contain it. With its `mass` (kg) plans keep the
-        largest torques of the joints.
+        largest torques of the joints; its `center` is in the frame of the object (m; default: its middle).
         """
         touch, at = tuple(touch_links), joints_of(joints, "joints")
-        return self._edit(op="attach", name=name, touch_links=touch, joints=at, link=link, mass=mass)
+        middle = None if center is None else numbers(center, "center")
+        return self._edit(op="attach", name=name, touch_links=touch, joints=at, link=link, mass=mass, center=middle)
 
     def detach(self, name: str, *, joints: Numbers | None = None) -> SceneEdited:
         """Detach an object and leave it where it is with the robot at `joints` (rad; default: the measured ones)."""
         return self._edit(op="detach", name=name, joints=joints_of(joints, "joints"))
+
+    def mount(self, tool: str) -> SceneEdited:
+        """Mount a tool of the robot's descriptor, in place of the one on its link. From then on poses are of its tip.
+
+        Raises Busy while the robot moves.
+        """
+        return self._edit(op="mount", tool=tool)
+
+    def unmount(self, tool: str) -> SceneEdited:
+        """Take a tool off that carries nothing. Raises Busy while the robot moves."""
+        return self._edit(op="unmount", tool=tool)
 
     def set_link_collision(self, *links: str, enabled: bool) -> SceneEdited:
         """Turn collision checking of these links on or off; at least one link stays checked."""

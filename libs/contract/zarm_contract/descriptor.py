@@ -13,9 +13,10 @@ from zarm_contract.collision import CollisionPrimitive, CollisionSphere
 from zarm_contract.digital_output import DigitalOutput
 from zarm_contract.gripper import Gripper
 from zarm_contract.group import JointGroup
-from zarm_contract.messages import GroupName, Joints, NonNegative, Positive, SpeedScale, Vector3
+from zarm_contract.messages import GroupName, Joints, NonNegative, Positive, SpeedScale
 from zarm_contract.section import Section
 from zarm_contract.strategies import DRIVER_STRATEGIES, DriverStrategyName
+from zarm_contract.tool import Payload, Tool
 
 
 class CSpace(Section):
@@ -27,15 +28,6 @@ class CSpace(Section):
     """Maximum joint accelerations (rad/s²), also for every stop."""
     jerk: tuple[Positive, ...]
     """Maximum joint jerks (rad/s³)."""
-
-
-class Payload(Section):
-    """What a link carries besides what its URDF states: a tool, a camera, cables."""
-
-    mass: Positive
-    """Its mass (kg)."""
-    center: Vector3 = (0.0, 0.0, 0.0)
-    """Its centre of mass in the frame of the link (m)."""
 
 
 class ToolSpeeds(Section):
@@ -214,6 +206,8 @@ class RobotDescriptor(Section):
     group is for all joints. Left out: the robot is one arm."""
     payloads: dict[str, Payload] = Field(default={}, max_length=16)
     """What is mounted on links, by link. Plans keep the efforts of the joints with it, and a simulation with physics weighs it."""
+    tools: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,47}$")], Tool] = Field(default={}, max_length=32)
+    """Tools by name, which can be mounted and changed at run time: `zarm tool mount`. At the start none is."""
     tool: ToolSpeeds = ToolSpeeds()
     """How the tip moves along lines, arcs and paths, unless the request says otherwise."""
     interpolation_dt: Annotated[float, Field(ge=0.001, le=0.1)] = 0.02

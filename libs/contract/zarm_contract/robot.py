@@ -29,7 +29,7 @@ _HALF_TURN = math.pi + 1e-6
 class RobotDescription:
     """A descriptor together with its URDF's kinematics.
 
-    `path` is the descriptor's file. `lower` and `upper` are the position limits of `descriptor.joints` (rad), from
+    `path` is the descriptor's file. `urdf` has a link for the tip of each of its tools too. `lower` and `upper` are the position limits of `descriptor.joints` (rad), from
     the URDF; those of a continuous joint, which turns freely, are infinite. `hash` names this exact content: two services that show different hashes
     know different robots. `whole` is given for a `group` of a robot.
     """
@@ -111,6 +111,23 @@ class RobotDescription:
             whole=self,
         )
 
+    def with_tools(self, names: Collection[str]) -> RobotDescription:
+        """This robot with these of its tools mounted: their tips take the place of those of the links that carry them. Raises InvalidRequest."""
+        if not names:
+            return self
+        descriptor = self.descriptor
+        if unknown := set(names) - descriptor.tools.keys():
+            raise InvalidRequest(f"{descriptor.name} has no tool {', '.join(sorted(unknown))} in {self.path}")
+        tip_of = {descriptor.tools[name].link or descriptor.tip_link: name for name in names}
+        groups = {
+            name: group.model_copy(update={"tip_link": tip_of.get(group.tip_link, group.tip_link)})
+            if group.tip_link is not None
+            else group
+            for name, group in descriptor.groups.items()
+        }
+        tip_link = tip_of.get(descriptor.tip_link, descriptor.tip_link)
+        return replace(self, descriptor=descriptor.model_copy(update={"tip_link": tip_link, "groups": groups}))
+
     @property
     def continuous(self) -> tuple[bool, ...]:
         """Which joints turn freely: for them, angles that differ by whole turns are the same."""
@@ -169,7 +186,7 @@ def load_robot(name_or_path: str) -> RobotDescription:
     return RobotDescription(
         descriptor=descriptor,
         path=document.path,
-        urdf=urdf,
+        urdf=urdf.with_frames([tool.frame(name, descriptor.tip_link) for name, tool in descriptor.tools.items()]),
         urdf_path=urdf_path,
         lower=tuple(-math.inf if (low := limits[name][0]) is None else low for name in descriptor.joints),
         upper=tuple(math.inf if (high := limits[name][1]) is None else high for name in descriptor.joints),
@@ -213,6 +230,11 @@ def _against_urdf(robot: RobotDescriptor, urdf: Urdf) -> list[tuple[KeyPath, str
         (("grippers", name, key), fault)
         for name, gripper in robot.grippers.items()
         for key, fault in gripper.faults_in(urdf, robot.joints)
+    ]
+    faults += [
+        (("tools", name, key), fault)
+        for name, tool in robot.tools.items()
+        for key, fault in tool.faults_in(name, urdf, robot.collision)
     ]
     return faults + [(("collision", link), fault) for link in robot.collision for fault in _mount(robot, urdf, link)]
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -73,6 +73,11 @@ class Urdf:
     joint_of_child: dict[str, Joint]
     inertials: dict[str, Inertial]
     notes: tuple[str, ...] = ()
+
+    def with_frames(self, fixed: Sequence[Joint]) -> Urdf:
+        """The tree with one more link for each of these joints."""
+        carried = {joint.child: joint for joint in fixed}
+        return replace(self, links=(*self.links, *carried), joint_of_child={**self.joint_of_child, **carried})
 
     def chain(self, base: str, tip: str) -> tuple[Joint, ...]:
         """The joints from `base` to `tip`, fixed ones included. Raises InvalidRequest if there is no such chain."""

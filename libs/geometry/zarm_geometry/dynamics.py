@@ -9,7 +9,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zarm_contract.messages import Attached, Capsule, Cuboid, Cylinder, Mesh, Sphere, Voxels
+from zarm_contract.messages import Attached, Capsule, Cuboid, Cylinder, Mesh, SceneObject, Sphere, Voxels
 from zarm_contract.robot import RobotDescription
 from zarm_contract.urdf import Inertial
 from zarm_geometry.body import along
@@ -43,16 +43,26 @@ class Weight(NamedTuple):
 
 
 def weights_of_load(item: Attached, mass: float, place: Place) -> Iterator[Weight]:
-    """An attached object of some `mass` (kg), spread evenly, at `place`, the frame of its link; of a mesh or voxels, its parts."""
+    """An attached object of some `mass` (kg), spread evenly, at `place`, the frame of its link; of a mesh or voxels, its parts. Where it states
+    its center, all of it is moved so that its centre of mass is there.
+    """
     joint, pose = place
     parts = item.parts or ((item.object,) if not isinstance(item.object, Mesh | Voxels) else ())
-    volumes = [_solid(part)[0] for part in parts]
-    for part, volume in zip(parts, volumes, strict=True):
-        share = mass * volume / sum(volumes)
-        orientation = (0.0, 0.0, 0.0, 1.0) if isinstance(part, Sphere) else part.orientation
-        frame = pose @ matrix(part.position, orientation)
+    volumes = np.array([_solid(part)[0] for part in parts])
+    masses = mass * volumes / volumes.sum()
+    frames = [pose @ _placed(part) for part in parts]
+    moved = np.zeros(3)
+    if item.center is not None:
+        center: Array = (pose @ _placed(item.object) @ (*item.center, 1.0))[:3]
+        moved = center - np.average([frame[:3, 3] for frame in frames], axis=0, weights=masses)
+    for part, share, frame in zip(parts, masses.tolist(), frames, strict=True):
         inertia = frame[:3, :3] @ np.diag(share * _solid(part)[1]) @ frame[:3, :3].T
-        yield Weight(joint, share, frame[:3, 3], inertia)
+        yield Weight(joint, share, frame[:3, 3] + moved, inertia)
+
+
+def _placed(item: SceneObject) -> Array:
+    """The pose (4, 4) of an object."""
+    return matrix(item.position) if isinstance(item, Sphere) else matrix(item.position, item.orientation)
 
 
 def _solid(part: Cuboid | Sphere | Capsule | Cylinder) -> tuple[float, Array]:

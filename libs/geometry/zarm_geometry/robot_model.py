@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Attached
+from zarm_contract.messages import Attached, tools_of
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.body import Body, along, attached_body, bounding_ball, link_body
 from zarm_geometry.dynamics import Dynamics, Weight, weights_of, weights_of_load, weights_of_payloads
@@ -110,7 +110,7 @@ class RobotModel:
         """This robot with one more body for each attached object, without the ignored links, and with grippers at these
         `openings`; those left out are open.
 
-        The object is named as in the scene; it may touch its `touch_links`.
+        The object is named as in the scene; it may touch its `touch_links`. A tool among them has the tip.
         """
         grippers = self.robot.descriptor.grippers
         openings = tuple((name, width) for name, width in openings if width != grippers[name].open)
@@ -118,12 +118,17 @@ class RobotModel:
             return self
         bodies = [body for body in self._at(openings) if body.name not in ignored_links]
         bodies += [attached_body(item, *self.mount(self.carrier(item))) for item in attached]
-        tip = (self.tip_joint, self.offset[-1])
-        return self._packed(self.robot, self.tree, tip, bodies, without=self, loads=tuple(attached))
+        robot = self.robot.with_tools(tools_of(attached))
+        tip = (self.tip_joint, self.offset[-1]) if robot is self.robot else self.mount(robot.descriptor.tip_link)
+        return self._packed(robot, self.tree, tip, bodies, without=self, loads=tuple(attached))
+
+    def with_tools(self, attached: Sequence[Attached]) -> Self:
+        """This robot with only the mounted tools of what is attached."""
+        return self.with_attached([one for one in attached if one.tool is not None], ())
 
     def carrier(self, item: Attached) -> str:
         """The link to which an object is attached."""
-        return item.link or self.robot.descriptor.tip_link
+        return item.link or (self.without or self).robot.descriptor.tip_link
 
     def mount(self, link: str) -> Place:
         """The joint that carries a link, -1 for the base, and the link (4, 4) in that joint's frame. Raises

@@ -134,9 +134,11 @@ class Agent:
         """The joints of the home pose."""
         return tuple(self._model.robot.descriptor.home)
 
-    def seen(self, plan_id: str) -> tuple[Plan, list[SceneObject]]:
-        """A plan that was made, and what is around, for a picture of it."""
-        return self._plans.see(plan_id), list(self._robot.scene.objects().values())
+    def seen(self, plan_id: str) -> tuple[RobotModel, Plan, list[SceneObject]]:
+        """A plan that was made, the robot with its tools, and what is around, for a picture of it."""
+        scene = self._robot.scene
+        model = self._model.with_tools([*scene.attached().values()])
+        return model, self._plans.see(plan_id), list(scene.objects().values())
 
     def about(self, plan_id: str) -> str:
         """What a plan does, for a person."""

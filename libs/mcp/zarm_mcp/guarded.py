@@ -28,7 +28,7 @@ class GuardedPlanner(Planner):
 
     def __init__(self, connection: Connection, policy: Policy, check: PolicyCheck) -> None:
         super().__init__(connection)
-        self._policy, self._check = policy, check
+        self._policy, self._check, self._scene = policy, check, Scene(connection)
 
     def plan(self, goal: Any, **options: Any) -> Plan:
         """`Planner.plan`, slow enough."""
@@ -44,7 +44,7 @@ class GuardedPlanner(Planner):
         scale = self._policy.joint_speed
         for _ in range(_SLOWDOWNS):
             plan: Plan = made(scale)
-            share = self._check.slower(plan)
+            share = self._check.slower(plan, tuple(self._scene.attached().values()))
             if share >= 1.0:
                 break
             scale = max(_SPARE * share * scale, _SLOWEST)

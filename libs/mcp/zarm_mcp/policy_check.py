@@ -31,9 +31,9 @@ class PolicyCheck:
         self._motions.set_world(World([*walls, *policy.zones()], 0.0))
         self._fastest = np.array(model.robot.descriptor.cspace.velocity)
 
-    def slower(self, plan: Plan) -> float:
-        """The share of its speed at which a plan is inside the policy's speeds; 1 if it is."""
-        joints, tip = self._speeds(_motion(plan, self._model))
+    def slower(self, plan: Plan, attached: Sequence[Attached] = ()) -> float:
+        """The share of its speed at which a plan is inside the policy's speeds, with what is attached now; 1 if it is."""
+        joints, tip = self._speeds(_motion(plan, self._model), attached)
         return min(1.0, self._policy.joint_speed / max(joints, 1e-9), self._policy.tool_speed / max(tip, 1e-9))
 
     def demand(self, plan: Plan, attached: Sequence[Attached] = ()) -> None:
@@ -54,7 +54,7 @@ class PolicyCheck:
             raise _refused(
                 f"{verdict.link} {where} at {verdict.contact_time or 0.0:.2f} s; plan through poses that lead elsewhere"
             )
-        joints, tip = self._speeds(motion)
+        joints, tip = self._speeds(motion, attached)
         if joints > self._policy.joint_speed * _ROUNDING:
             raise _refused(
                 f"a joint moves at {joints:.2f} of its velocity limit (at most {self._policy.joint_speed:g})"
@@ -62,11 +62,11 @@ class PolicyCheck:
         if tip > self._policy.tool_speed * _ROUNDING:
             raise _refused(f"the tip moves at {tip:.2f} m/s (at most {self._policy.tool_speed:g})")
 
-    def _speeds(self, motion: TimedTrajectory) -> tuple[float, float]:
+    def _speeds(self, motion: TimedTrajectory, attached: Sequence[Attached]) -> tuple[float, float]:
         """The highest share of a joint's velocity limit, and the highest speed of the tip (m/s)."""
         times = _times(motion)
-        states = motion.sample(times)
-        tips: Array = np.array([self._model.fk_tip(position)[:3, 3] for position in states[0]])
+        states, model = motion.sample(times), self._model.with_tools(attached)
+        tips: Array = np.array([model.fk_tip(position)[:3, 3] for position in states[0]])
         speeds = np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff(times)
         return float((np.abs(states[1]) / self._fastest).max()), float(speeds.max(initial=0.0))
 

@@ -16,7 +16,6 @@ from pydantic import Field
 from zarm.connection import Connection
 from zarm_contract.errors import Busy, ZarmError
 from zarm_contract.messages import AgentCall
-from zarm_geometry.robot_model import RobotModel
 from zarm_mcp.agent import Agent, Json, pose, said
 from zarm_mcp.approval import Approvals
 from zarm_mcp.picture import picture
@@ -96,8 +95,8 @@ class Gate:
 class Tools:
     """The tools; their docstrings are what an agent reads."""
 
-    def __init__(self, agent: Agent, gate: Gate, model: RobotModel, policy: Policy) -> None:
-        self._agent, self._gate, self._model, self._policy = agent, gate, model, policy
+    def __init__(self, agent: Agent, gate: Gate, policy: Policy) -> None:
+        self._agent, self._gate, self._policy = agent, gate, policy
 
     async def get_state(self, context: Context[Any]) -> Json:
         """What the robot does: mode, joint positions, pose of the tip, speed, grippers; and the policy that applies."""
@@ -161,8 +160,8 @@ class Tools:
         """A picture of a plan from above, from the side and from the front."""
 
         def drawn() -> bytes:
-            plan, objects = self._agent.seen(plan_id)
-            return picture(self._model, plan, objects, self._policy)
+            model, plan, objects = self._agent.seen(plan_id)
+            return picture(model, plan, objects, self._policy)
 
         return Image(data=await self._gate.call("preview", drawn, context, plan_id=plan_id), format="png")
 
@@ -243,11 +242,9 @@ class Tools:
         )
 
 
-def make_server(
-    agent: Agent, model: RobotModel, policy: Policy, connection: Connection, version: str
-) -> MCPServer[Any]:
+def make_server(agent: Agent, policy: Policy, connection: Connection, version: str) -> MCPServer[Any]:
     """A server with all tools."""
     server: MCPServer[Any] = MCPServer("zarm", instructions=_INSTRUCTIONS, version=version, log_level="WARNING")
-    for tool in Tools(agent, Gate(policy, connection), model, policy).all():
+    for tool in Tools(agent, Gate(policy, connection), policy).all():
         server.add_tool(tool)
     return server

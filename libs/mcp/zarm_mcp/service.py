@@ -39,7 +39,7 @@ def serve(
         agent = Agent(connection, model, allowed, rehearsing)
         agent.open()
         try:
-            server = make_server(agent, model, allowed, connection, version())
+            server = make_server(agent, allowed, connection, version())
             if http is None:
                 server.run("stdio")
             else:

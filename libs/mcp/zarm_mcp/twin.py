@@ -63,8 +63,14 @@ class Twin:
         self._await_rest()
         if robot.state().mode == "fault":  # from the motion before
             robot.reset()
-        for name in robot.scene.attached():
-            robot.scene.apply(SceneEdit(edit=DetachObject(op="detach", name=name)))
+        for name, held in robot.scene.attached().items():
+            if held.tool is None:
+                robot.scene.apply(SceneEdit(edit=DetachObject(op="detach", name=name)))
+        mounted = robot.scene.read().tools
+        for tool in set(mounted) - {*scene.tools}:
+            robot.scene.unmount(tool)
+        for tool in set(scene.tools) - {*mounted}:
+            robot.scene.mount(tool)
         if passed_over := robot.scene.read().ignored_objects:
             robot.scene.set_object_collision(*passed_over, enabled=True)
         robot.scene.apply(SceneEdit(edit=LoadScene(op="load", objects=scene.objects)))
@@ -72,6 +78,8 @@ class Twin:
         if not np.allclose(robot.joint_state().position, start, rtol=0.0, atol=_THERE):
             robot.execute(robot.plan(start))
         for one in scene.attached:
+            if one.tool is not None:
+                continue
             robot.scene.add(self._placed(one, start))
             attach = AttachObject(
                 op="attach",
@@ -79,6 +87,7 @@ class Twin:
                 link=one.link,
                 touch_links=one.touch_links,
                 mass=one.mass,
+                center=one.center,
                 joints=start,
             )
             robot.scene.apply(SceneEdit(edit=attach))

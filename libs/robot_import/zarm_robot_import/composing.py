@@ -184,6 +184,7 @@ def _descriptor_text(composition: Composition, robots: Mapping[str, RobotDescrip
         "grippers": {},
         "outputs": {},
         "payloads": {},
+        "tools": {},
     }
     sections: dict[str, Any] = {"collision": {}, "spheres": {}, "self_collision_ignore": [], "self_collision_exact": []}
     periods = []
@@ -211,6 +212,10 @@ def _descriptor_text(composition: Composition, robots: Mapping[str, RobotDescrip
             for output, section in own.get("outputs", {}).items()
         }
         whole["payloads"] |= {_named(name, link): section for link, section in own.get("payloads", {}).items()}
+        for tool, section in own.get("tools", {}).items():
+            touched = [_named(name, link) for link in section.get("touch_links", ())]
+            carrier = _named(name, section.get("link") or described.tip_link)
+            whole["tools"][_named(name, tool)] = section | {"link": carrier, "touch_links": touched}
         for section in ("collision", "spheres"):
             sections[section] |= {_named(name, link): own[section][link] for link in own[section]}
         for section in ("self_collision_ignore", "self_collision_exact"):

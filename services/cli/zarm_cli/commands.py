@@ -28,6 +28,7 @@ MODULES = {
     "program": "program",
     "gripper": "gripper",
     "output": "digital_outputs",
+    "tool": "tool",
     "cancel": "execution",
     "speed": "execution",
     "strategy": "execution",

@@ -235,6 +235,7 @@ def _describe(robot: RobotDescription) -> None:
             ("chain", f"{descriptor.base_link} to {descriptor.tip_link} in {robot.urdf_path}"),
             ("home", f"{numbers(descriptor.home, 4)} rad = {degrees(descriptor.home)} deg"),
             *([("groups", ", ".join(descriptor.groups))] if descriptor.groups else []),
+            *([("tools", ", ".join(descriptor.tools))] if descriptor.tools else []),
             ("strategy", descriptor.strategy),
             ("hash", robot.hash),
         )

@@ -50,7 +50,8 @@ def show(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Nam
     out.print(table if table.rows else "the scene is empty")
     for carried in scene.attached:
         touches = f"; it may touch {', '.join(carried.touch_links)}" if carried.touch_links else ""
-        out.print(f"the robot carries {carried.object.name}, placed from {carried.link or 'its tip'}{touches}")
+        of = f" of the tool {carried.tool}" if carried.tool else ""
+        out.print(f"the robot carries {carried.object.name}{of}, placed from {carried.link or 'its tip'}{touches}")
     if scene.ignored_objects:
         out.print(f"objects whose collisions are ignored: {', '.join(scene.ignored_objects)}")
     if scene.ignored_links:
@@ -174,6 +175,10 @@ def attach(
         float | None,
         typer.Option(metavar="KG", help="Its mass, which counts in the torques of plans.", show_default=False),
     ] = None,
+    center: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,Z", help="Its centre of mass in its own frame (m; default: its middle)."),
+    ] = None,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
@@ -181,7 +186,7 @@ def attach(
     """Attach an object to the tip: `zarm scene attach box --touch link_5`."""
     where = joints(at, "--joints")
     fields = {"name": object_name, "touch_links": touch or [], "joints": where, "link": link, "mass": mass}
-    _edit(connect, name, as_json, op="attach", **fields)
+    _edit(connect, name, as_json, op="attach", center=center and floats(center, "--center"), **fields)
 
 
 @app.command()
@@ -229,7 +234,7 @@ def load(
 ) -> None:
     """Replace all objects by those of a file."""
     with connected(connect, name) as robot:
-        _print_edited(robot.scene.load(file), as_json)
+        print_edited(robot.scene.load(file), as_json)
 
 
 @app.command()
@@ -243,10 +248,11 @@ def save(file: Path, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> 
 def _edit(connect: str, robot_name: str | None, as_json: bool, **edit: object) -> None:
     request = message(SceneEdit, edit=edit)
     with connected(connect, robot_name) as robot:
-        _print_edited(robot.scene.apply(request), as_json)
+        print_edited(robot.scene.apply(request), as_json)
 
 
-def _print_edited(edited: SceneEdited, as_json: bool) -> None:
+def print_edited(edited: SceneEdited, as_json: bool) -> None:
+    """Print what an edit has led to."""
     if as_json:
         print_json(edited)
     else:

@@ -6,6 +6,7 @@ from typing import Any
 
 import mujoco
 
+from zarm_contract.messages import Vector3
 from zarm_contract.robot import RobotDescription
 from zarm_contract.urdf import Inertial, Joint
 from zarm_physics_sim.shapes import link_geom, of_rpy
@@ -55,8 +56,7 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotDescription, inertials: dict[str,
         elif not shapes:
             _set_inertia(body, _LEAST_MASS, (0.0, 0.0, 0.0), [1.0, 0.0, 0.0, 0.0], _POINT)
         if (payload := descriptor.payloads.get(link)) is not None:
-            mounted = body.add_body(name=payload_name(link), pos=list(payload.center))
-            _set_inertia(mounted, payload.mass, (0.0, 0.0, 0.0), [1.0, 0.0, 0.0, 0.0], _POINT)
+            add_mass(body, payload_name(link), payload.mass, payload.center)
         for child in children.get(link, ()):
             add(body, child.child, child)
 
@@ -68,6 +68,12 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotDescription, inertials: dict[str,
             type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=name, name2=driver,
             data=[offset, multiplier, *[0.0] * (mujoco.mjNEQDATA - 2)],
         )  # fmt: skip
+
+
+def add_mass(body: Any, name: str, mass: float, center: Vector3) -> None:
+    """Add a `mass` (kg) to a body, as a point at its `center` (m)."""
+    mounted = body.add_body(name=name, pos=list(center))
+    _set_inertia(mounted, mass, (0.0, 0.0, 0.0), [1.0, 0.0, 0.0, 0.0], _POINT)
 
 
 def _add_joint(body: Any, joint: Joint) -> None:

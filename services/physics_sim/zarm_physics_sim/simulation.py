@@ -14,7 +14,7 @@ from zarm_contract.gripper import Gripper
 from zarm_contract.messages import Attached, Quaternion, Vector3
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.inertia import stances, stated_limits, usable_inertials
-from zarm_physics_sim.robot_body import add_robot, payload_name
+from zarm_physics_sim.robot_body import add_mass, add_robot, payload_name
 from zarm_physics_sim.shapes import wxyz
 from zarm_physics_sim.world import World, add_object, body_name, is_object, object_name
 
@@ -96,6 +96,8 @@ class Simulation:
         spec.option.impratio = 10.0
         add_robot(spec, robot, inertials, density)
         world.add_to(spec)
+        # A tool's mass is that of one of its shapes.
+        self._weighed = {item.tool for item in carried if item.tool is not None and item.mass is not None}
         for item in carried:
             self._carry(spec, item)
         self._model = spec.compile()
@@ -139,7 +141,16 @@ class Simulation:
             kind, bodies = mujoco.mjtEq.mjEQ_WELD, mujoco.mjtObj.mjOBJ_BODY
             spec.add_equality(name=thing, type=kind, objtype=bodies, name1=link, name2=thing)
             return
-        body = add_object(spec.body(link), item.object, None, self._density, item.mass)
+        weightless = item.center is not None or item.tool in self._weighed
+        body = add_object(
+            spec.body(link),
+            item.object,
+            None,
+            0.0 if weightless else self._density,
+            None if weightless else item.mass,
+        )
+        if item.mass is not None and item.center is not None:
+            add_mass(body, payload_name(body.name), item.mass, item.center)
         for touched in {link, *item.touch_links}:
             spec.add_exclude(bodyname1=touched, bodyname2=body.name)
 

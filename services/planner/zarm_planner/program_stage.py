@@ -17,6 +17,7 @@ from zarm_planner.programs import Scales, SceneChange
 from zarm_planner.scene.attached_objects import attach, carrier, check_attach, detach
 from zarm_planner.scene.scene_cache import ReadyScene, SceneCache
 from zarm_planner.scene.store import SceneStore
+from zarm_planner.scene.tools import at_tool
 from zarm_planner.stage_timer import StageTimer
 from zarm_trajectory.limits import Limits
 
@@ -39,7 +40,7 @@ class ProgramStage:
     ) -> None:
         self._grippers = grippers
         self._openings = self.openings = grippers.chosen(request.openings)
-        self.robot = model.robot
+        self.robot = model.robot.with_tools(store.scene.tools)
         self._model, self._store, self._scenes, self._limits = model, store, scenes, limits
         self._settings, self._request, self._deadline = settings, request, deadline
         self._scene = store.scene
@@ -73,6 +74,8 @@ class ProgramStage:
 
     def change(self, change: SceneChange, q: Array) -> None:
         """See `programs.Stage`."""
+        if isinstance(change, AttachObject):
+            change = at_tool(self._model.robot, self._scene, change)
         tip = self._model.fk_link(carrier(self._model, self._scene, change), q)
         if isinstance(change, AttachObject):
             check_attach(self._model.links, change.name, change.touch_links, "edit")

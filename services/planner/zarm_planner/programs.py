@@ -311,6 +311,7 @@ def _change(segment: Attach | Detach) -> SceneChange:
             touch_links=segment.touch_links,
             link=segment.link,
             mass=segment.mass,
+            center=segment.center,
         )
     return DetachObject(op="detach", name=segment.object)
 

@@ -13,6 +13,7 @@ from typing import TypeVar
 
 from zarm_contract.errors import Unavailable, ZarmError
 from zarm_contract.key import Query
+from zarm_contract.keys import Keys
 from zarm_contract.messages import (
     Message,
     Plan,
@@ -31,6 +32,8 @@ from zarm_planner.goals.joints import MeasuredJoints
 from zarm_planner.handlers import Handlers
 from zarm_planner.program_changes import ProgramChanges
 from zarm_planner.scene.store import SceneStore
+from zarm_planner.scene.tools import Tools
+from zarm_runtime.bus import Bus
 from zarm_runtime.mesh_folders import add_meshes
 from zarm_runtime.metrics import Metrics
 from zarm_runtime.publications import Encoded
@@ -62,7 +65,8 @@ cloud. At Python's 700 it looks at it again and again, which takes as long as th
 def start(service: Service) -> Iterator[None]:
     """Run the planner, from warm-up until the last pending plan is answered."""
     with owned(service.options.state / service.keys.robot, service.name) as folder:
-        store = SceneStore(folder, Meshes(service.options.meshes), service.robot.urdf.links)
+        robot = service.robot
+        store = SceneStore(folder, Meshes(service.options.meshes), robot.urdf.links, Tools.of(robot))
         with _serving(service, store):
             yield
 
@@ -79,6 +83,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         measured,
         bus.is_there,
         gripper_state=lambda name: bus.read(keys.gripper_state(name), timeout=EXECUTOR_PATIENCE),
+        moves=lambda: _moves(bus, keys),
     )
     warm = False
 
@@ -161,6 +166,14 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         yield
     finally:
         handlers.close()
+
+
+def _moves(bus: Bus, keys: Keys) -> bool:
+    """Whether the executor has a motion; without one nothing moves the robot."""
+    try:
+        return bus.read(keys.executor_state, timeout=EXECUTOR_PATIENCE).mode not in ("idle", "fault")
+    except Unavailable:
+        return False
 
 
 def _report(metrics: Metrics, kind: str, request_id: str | None, answer: Plan) -> None:

@@ -57,7 +57,7 @@ class Additions:
         return f"Object '{request.object_name}' attached"
 
     def _detach(self, _: Trigger.Request, __: Trigger.Response) -> str:
-        names = [carried.object.name for carried in self._scene.read().attached]
+        names = [carried.object.name for carried in self._scene.read().attached if carried.tool is None]
         if not names:
             raise InvalidRequest("the robot carries nothing; call attach_object first")
         for name in names:

@@ -1,4 +1,4 @@
-"""The URDF for ROS: the robot's own, with a shape added to each link without one."""
+"""The URDF for ROS: the robot's own, with a shape added to each link without one, and the frames of its tools."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from zarm_contract.collision import (
     CollisionPrimitive,
     CollisionSphere,
 )
-from zarm_contract.messages import Quaternion, Vector3
+from zarm_contract.messages import Vector3
 from zarm_contract.robot import RobotDescription
+from zarm_contract.rpy import rpy_of
 
 
 def shown_description(robot: RobotDescription) -> str:
-    """The robot's URDF; a link without a `<visual>` gets its exact collision geometry from the descriptor."""
+    """The robot's URDF, with a link for the tip of each tool; a link without a `<visual>` gets its exact collision geometry from the descriptor."""
     tree = ET.fromstring(robot.urdf_path.read_text())  # noqa: S314  the file that the robot was loaded from
     for link in tree.iter("link"):
         if link.find("visual") is None:
@@ -27,6 +28,13 @@ def shown_description(robot: RobotDescription) -> str:
                     visual = ET.SubElement(link, "visual")
                     ET.SubElement(visual, "origin", xyz=_numbers(position), rpy=_numbers(rpy))
                     ET.SubElement(visual, "geometry").append(shape)
+    for name in robot.descriptor.tools:
+        joint = robot.urdf.joint_of_child[name]
+        ET.SubElement(tree, "link", name=name)
+        fixed = ET.SubElement(tree, "joint", name=joint.name, type="fixed")
+        ET.SubElement(fixed, "origin", xyz=_numbers(joint.xyz), rpy=_numbers(joint.rpy))
+        ET.SubElement(fixed, "parent", link=joint.parent)
+        ET.SubElement(fixed, "child", link=name)
     ET.indent(tree)
     return ET.tostring(tree, encoding="unicode")
 
@@ -37,7 +45,7 @@ def _shapes(primitive: CollisionPrimitive) -> Iterator[tuple[Vector3, Vector3, E
         case CollisionSphere():
             yield primitive.center, (0.0, 0.0, 0.0), _sphere(primitive.radius)
         case CollisionCuboid():
-            yield primitive.center, _rpy(primitive.orientation), ET.Element("box", size=_numbers(primitive.size))
+            yield primitive.center, rpy_of(primitive.orientation), ET.Element("box", size=_numbers(primitive.size))
         case CollisionCylinder() | CollisionCapsule():
             a, b = primitive.a, primitive.b
             x, y, z = (end - start for start, end in zip(a, b, strict=True))
@@ -52,16 +60,6 @@ def _shapes(primitive: CollisionPrimitive) -> Iterator[tuple[Vector3, Vector3, E
 
 def _sphere(radius: float) -> ET.Element:
     return ET.Element("sphere", radius=repr(radius))
-
-
-def _rpy(orientation: Quaternion) -> Vector3:
-    """Roll, pitch and yaw of a quaternion, R = Rz(yaw) Ry(pitch) Rx(roll) as in URDF."""
-    x, y, z, w = orientation
-    return (
-        math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
-        math.asin(min(max(2 * (w * y - z * x), -1.0), 1.0)),
-        math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
-    )
 
 
 def _numbers(values: tuple[float, ...]) -> str:

@@ -14,7 +14,7 @@ RESTART_SECONDS = 60.0
 
 _SERVICES = ("executor", "planner")  # the executor first: only it may refuse, and then nothing has changed
 _WHERE_THERE = ("servo",)
-_FIXED = ("name", "base_link", "tip_link", "joints", "strategy_params")
+_FIXED = ("name", "base_link", "tip_link", "joints", "tools", "strategy_params")
 
 
 def reread_robot(engine: Engine) -> str:

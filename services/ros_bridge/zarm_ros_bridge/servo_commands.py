@@ -143,7 +143,7 @@ class ServoCommands:
             self._refuse(f"a message on {topic} came more than {STALE:g} s late; find out what delays it")
             return
         try:
-            send = read(message, self._engine.robot.descriptor, self._look_up)
+            send = read(message, self._engine.tooled.descriptor, self._look_up)
             command = _Command(topic, now, send, lasting(message))
         except ZarmError as error:
             self._refuse(f"{topic}: {error}")

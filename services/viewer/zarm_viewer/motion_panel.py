@@ -42,6 +42,7 @@ class MotionPanel:
         self._plan: Plan | None = None
         self._timed: TimedTrajectory | None = None
         self._shown = 0
+        self._tools: tuple[str, ...] = ()
         gui = panels.server.gui
         self._say = gui.add_markdown(NO_GOAL)
         button(self._panels, "Plan", Icon.ROUTE, self._plan_it)
@@ -84,7 +85,10 @@ class MotionPanel:
             self._options.offer(news.planners.names)
         if news.plan is not None:
             self._take(news.plan)
-        if news.scene is not None:
+        if news.scene is not None and news.scene.tools != self._tools:
+            self._tools = news.scene.tools
+            self._goal.forget()  # it was one of another tip
+        elif news.scene is not None:
             self._goal.check_again()
         if self._goal.revision != self._shown:
             self._shown = self._goal.revision

@@ -44,6 +44,8 @@ class PanelContext:
     group: str | None = field(init=False)
     """The group whose tip is aimed with and jogged; None if the robot is one arm."""
     joints: Array = field(init=False)
+    tools: tuple[str, ...] = ()
+    """The tools that are mounted."""
     measured: bool = False
     """Whether `joints` were measured; otherwise they are the home position."""
     events: deque[str] = field(default_factory=lambda: deque(maxlen=EVENTS))
@@ -61,7 +63,13 @@ class PanelContext:
 
     def choose(self, group: str | None) -> None:
         """Aim with the tip of this group from now on."""
-        self.group, self.chain = group, Chain(self.description, group)
+        self.group, self.chain = group, Chain(self.description.with_tools(self.tools), group)
+
+    def mount(self, tools: tuple[str, ...]) -> None:
+        """Aim with the tips of these tools from now on."""
+        if tools != self.tools:
+            self.tools = tools
+            self.choose(self.group)
 
     @property
     def moving(self) -> list[int]:

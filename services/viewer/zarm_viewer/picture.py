@@ -72,6 +72,7 @@ class Picture:
             else:
                 self._ghost.hide()
         if news.scene is not None:
+            self._panels.mount(news.scene.tools)
             self.scene.draw(news.scene)
         if news.voxels is not None:
             self.scene.draw_voxels(news.voxels)

@@ -145,6 +145,7 @@ from zarm_contract.messages.scene import (
     MAX_INDEX,
     MAX_OBJECTS,
     MAX_POINTS,
+    MAX_TOOL_SHAPES,
     AddObjects,
     Attached,
     AttachObject,
@@ -155,6 +156,7 @@ from zarm_contract.messages.scene import (
     DetachObject,
     LoadScene,
     Mesh,
+    MountTool,
     ObjectPose,
     Occupancy,
     OccupancyRequest,
@@ -169,7 +171,9 @@ from zarm_contract.messages.scene import (
     SetLinkCollision,
     SetObjectCollision,
     Sphere,
+    UnmountTool,
     Voxels,
+    tools_of,
 )
 from zarm_contract.messages.service import Health, Nothing, Requester
 from zarm_contract.messages.servo import (
@@ -198,6 +202,7 @@ __all__ = [
     "MAX_INDEX",
     "MAX_OBJECTS",
     "MAX_POINTS",
+    "MAX_TOOL_SHAPES",
     "POSE_COMPONENTS",
     "Accepted",
     "AddObjects",
@@ -281,6 +286,7 @@ __all__ = [
     "LoadedMap",
     "Mesh",
     "Message",
+    "MountTool",
     "Move",
     "MovingObjects",
     "Name",
@@ -358,9 +364,11 @@ __all__ = [
     "Touch",
     "Trajectory",
     "TwistTarget",
+    "UnmountTool",
     "Vector3",
     "VoxelBlock",
     "Voxels",
     "Wait",
     "WaypointsGoal",
+    "tools_of",
 ]

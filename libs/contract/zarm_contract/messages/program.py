@@ -9,7 +9,7 @@ from pydantic import Field
 from zarm_contract._model import Message
 from zarm_contract.messages.goals import Blend, Goal, GroupName
 from zarm_contract.messages.gripper import Grip, Openings
-from zarm_contract.messages.motion import Joints, Name, Positive, Scale
+from zarm_contract.messages.motion import Joints, Name, Positive, Scale, Vector3
 from zarm_contract.messages.output import SetOutput
 from zarm_contract.messages.planner import Attempts, Margin, Timeout
 
@@ -57,6 +57,7 @@ class Attach(Message):
     touch_links: tuple[str, ...] = Field(default=(), max_length=32)
     link: str | None = None
     mass: Positive | None = None
+    center: Vector3 | None = None
     name: Name | None = None
 
 

@@ -6,6 +6,7 @@ import math
 import sys
 from array import array
 from base64 import b64decode
+from collections.abc import Iterable
 from itertools import chain
 from typing import Annotated, Literal
 
@@ -16,6 +17,7 @@ from zarm_contract.messages.motion import Joints, Name, NonNegative, Positive, Q
 
 MAX_OBJECTS = 10_000
 MAX_ATTACHED = 16
+MAX_TOOL_SHAPES = 8
 MAX_ATTACHED_PARTS = 32
 MAX_CELLS = 200_000
 MAX_POINTS = 200_000
@@ -148,7 +150,8 @@ SceneObject = Annotated[Cuboid | Sphere | Capsule | Cylinder | Mesh | Voxels, Fi
 class Attached(Message):
     """An attached object: its pose is relative to the `link`, by default the descriptor's `tip_link`, and it may touch `touch_links`.
 
-    A mesh or voxels are checked by their `parts`, relative to that link, which contain them. `mass` (kg), if known, counts in torques.
+    A mesh or voxels are checked by their `parts`, relative to that link, which contain them. `mass` (kg), if known, counts in torques; its `center` is in
+    the frame of the object (m; default: the middle). It may be a shape of a mounted `tool`.
     """
 
     object: SceneObject
@@ -156,6 +159,8 @@ class Attached(Message):
     parts: tuple[Primitive, ...] = Field(default=(), max_length=MAX_ATTACHED_PARTS)
     link: str | None = None
     mass: Positive | None = None
+    center: Vector3 | None = None
+    tool: Name | None = None
 
 
 class ObjectPose(ShortMessage):
@@ -176,13 +181,18 @@ class ObjectPose(ShortMessage):
     speed: NonNegative
 
 
+def tools_of(attached: Iterable[Attached]) -> tuple[str, ...]:
+    """The tools among what is attached."""
+    return tuple(dict.fromkeys(one.tool for one in attached if one.tool is not None))
+
+
 SceneRevision = Annotated[str, Field(pattern=r"^(0|[1-9][0-9]{0,17})-[0-9a-f]{12}$")]
 """Names one state of one scene, `7-5be0c1d2f3a4`: how many edits it has had, for people, and an identity drawn at random
 with every edit. Equal revisions mean the same scene; which of two is newer, or whether they are of one planner, nothing says."""
 
 
 class Scene(Message):
-    """All objects in the base frame, and the objects attached to the robot. A `revision` never repeats.
+    """All objects in the base frame, and the objects attached to the robot, mounted tools among them. A `revision` never repeats.
 
     Collisions of `ignored_links` and of `ignored_objects` are not checked.
     """
@@ -207,6 +217,11 @@ class Scene(Message):
             return self.attached
         return tuple(one for one in self.attached if one.object.name not in self.ignored_objects)
 
+    @property
+    def tools(self) -> tuple[str, ...]:
+        """The tools that are mounted."""
+        return tools_of(self.attached)
+
 
 class AddObjects(Message):
     """Add objects. A name that exists is refused unless `replace` is true; the name of an attached object always is."""
@@ -226,7 +241,7 @@ class RemoveObjects(Message):
 
 
 class ClearScene(Message):
-    """Remove every object. Attached objects and ignored links stay."""
+    """Remove every object. Attached objects, mounted tools and ignored links stay."""
 
     op: Literal["clear"]
 
@@ -243,8 +258,8 @@ class AttachObject(Message):
     the measured ones).
 
     The object may touch `touch_links`, such as the fingers of a gripper. It is never checked against links that are fixed to
-    that link. A mesh or voxels are carried as at most 32 cuboids that contain them. With its `mass` (kg), at the middle of the object, plans keep
-    the largest torques of the joints, see `PlanTorque`.
+    that link. A mesh or voxels are carried as at most 32 cuboids that contain them. With its `mass` (kg) plans keep
+    the largest torques of the joints, see `PlanTorque`; the `center` of the mass is in the frame of the object (m; default: the middle).
     """
 
     op: Literal["attach"]
@@ -253,6 +268,7 @@ class AttachObject(Message):
     joints: Joints | None = None
     link: str | None = None
     mass: Positive | None = None
+    center: Vector3 | None = None
 
 
 class DetachObject(Message):
@@ -261,6 +277,22 @@ class DetachObject(Message):
     op: Literal["detach"]
     name: Name
     joints: Joints | None = None
+
+
+class MountTool(Message):
+    """Mount a tool of the descriptor on its link, in place of the one that is there. From then on its shapes, `<tool>_1` and so on, are attached, and
+    its tip takes the place of that of the robot, or of the groups with that link as `tip_link`. The robot must stand still.
+    """
+
+    op: Literal["mount"]
+    tool: Name
+
+
+class UnmountTool(Message):
+    """Take a mounted tool off. What it carries has to be detached before. The robot must stand still."""
+
+    op: Literal["unmount"]
+    tool: Name
 
 
 class SetLinkCollision(Message):
@@ -292,6 +324,8 @@ class SceneEdit(Message):
         | LoadScene
         | AttachObject
         | DetachObject
+        | MountTool
+        | UnmountTool
         | SetLinkCollision
         | SetObjectCollision,
         Field(discriminator="op"),

@@ -29,7 +29,8 @@ class Handlers:
     the bus.
 
     `measured` returns the robot's current joints (dof,), or raises ExecutionRefused (`no_joint_state`). `is_there`
-    tells whether a client that had left is back. `planners` are those to choose from. `gripper_state` asks for the state of a gripper.
+    tells whether a client that had left is back. `planners` are those to choose from. `gripper_state` asks for the state of a gripper,
+    and `moves` whether the robot is in motion.
     """
 
     def __init__(
@@ -41,6 +42,7 @@ class Handlers:
         is_there: Callable[[str], bool] = lambda _: False,
         planners: Sequence[Planner] = PLANNERS,
         gripper_state: Callable[[str], GripperState | None] = lambda _: None,
+        moves: Callable[[], bool] = lambda: False,
     ) -> None:
         state = self._state = PlannerState(model, name, store, measured, is_there, planners, gripper_state)
         self.scenes, self.grippers, self.map_health = state.scenes, state.grippers, state.map_health
@@ -51,7 +53,7 @@ class Handlers:
         self.ik, self.fk = kinematics.ik, kinematics.fk
         checks = CheckHandlers(state)
         self.check, self.occupancy = checks.check, checks.occupancy
-        self.edit = SceneHandlers(state).edit
+        self.edit = SceneHandlers(state, moves).edit
         self.leave = state.scheduler.leave
 
     def warm_up(self, report: Callable[[str], None]) -> None:

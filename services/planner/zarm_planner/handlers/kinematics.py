@@ -65,16 +65,17 @@ class KinematicsHandlers:
         joints = np.array([checked(self._state.model, q, f"joints.{i}") for i, q in enumerate(request.joints)])
         if request.tip is not None:
             return self._fk_frame(request.tip, request.group, joints)
-        group = Group.of_tip(self._state.model.robot, request.group)
+        model = self._state.scenes.robot()
+        group = Group.of_tip(model.robot, request.group)
         if group is None:
-            poses = batch_fk(self._state.model, joints, request.device)
+            poses = batch_fk(model, joints, request.device)
         else:
-            poses = self._state.model.fk_link(self._state.model.robot.tip_of(group.names), joints)
+            poses = model.fk_link(model.robot.tip_of(group.names), joints)
         return FkPoses(poses=tuple(pose_of(pose) for pose in poses))
 
     def _fk_frame(self, tip: TipFrame, group: str | None, joints: Array) -> FkPoses:
         if group is not None:
             raise InvalidRequest("the tip names the frame already; leave the group out", field="group")
-        model = self._state.scenes.present(self._state.settings.margin).model
+        model = self._state.scenes.robot()
         poses = model.fk_frame(tip_frame(model, tip, "tip"), joints)
         return FkPoses(poses=tuple(map(pose_of, poses)))

@@ -21,7 +21,7 @@ from zarm_contract.messages import (
 from zarm_geometry.exact import RESOLUTION
 from zarm_geometry.frames import pose_of
 from zarm_geometry.gripper_openings import openings_message
-from zarm_geometry.robot_model import Openings
+from zarm_geometry.robot_model import Openings, RobotModel
 from zarm_planner.constraints.path_constraint import constrains
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
@@ -33,6 +33,7 @@ from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.registry import AUTO
 from zarm_planner.program_stage import ProgramStage
 from zarm_planner.programs import ChangeAt, PlannedProgram, of_only_segment, plan_program, with_ways
+from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_runtime.requester import requester
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.turns import whole_turns
@@ -54,7 +55,7 @@ class MotionHandlers:
         openings = self._state.grippers.chosen(request.openings)
         group = Group.of(model.robot, request.group, request.goal)
 
-        def work(deadline: Deadline) -> tuple[SceneRevision, Verified, PlanTimings]:
+        def work(deadline: Deadline) -> tuple[PlanningScene, Verified, PlanTimings]:
             limits = self._state.limits(
                 request.velocity_scale or settings.velocity_scale,
                 request.acceleration_scale or settings.acceleration_scale,
@@ -84,13 +85,14 @@ class MotionHandlers:
                 verified = plan(planner, context, start - turns, request.goal, motion)
             else:
                 verified = group.plan(planner, context, start - turns, request.goal, motion)
-            return context.scene.revision, verified.shifted(turns), context.timer.timings()
+            return context.scene, verified.shifted(turns), context.timer.timings()
 
-        revision, verified, timings = self._state.scheduler.run(
+        scene, verified, timings = self._state.scheduler.run(
             work, requester(), request.timeout or settings.timeout, request.request_id
         )
         tips = group.names if group is not None else ()
-        return self._reply(revision, verified, timings, openings, tip=self._tip(tips, verified))
+        tip = _tip(scene.model, tips, verified)
+        return self._reply(scene.revision, verified, timings, openings, tip=tip)
 
     def _reply(
         self,
@@ -126,12 +128,6 @@ class MotionHandlers:
             waypoint_times=verified.waypoint_times,
             path_length=trajectory.length,
             timings=timings,
-        )
-
-    def _tip(self, groups: Sequence[str], verified: Verified) -> Pose:
-        """Where the tip of the first of these groups is at the end of a motion; without groups, the robot's tip."""
-        return pose_of(
-            self._state.model.fk_link(self._state.model.robot.tip_of(groups), verified.trajectory.position[-1])
         )
 
     def _with_ways(self, request: PlanRequest) -> Plan:
@@ -184,7 +180,7 @@ class MotionHandlers:
             planned.segments,
             planned.touches,
             planned.problem,
-            tip=self._tip(planned.groups, planned.verified),
+            tip=_tip(self._state.scenes.robot(), planned.groups, planned.verified),
         )
         changes = tuple(
             (at, change.model_copy(update={"joints": tuple((q + turns).tolist())})) for at, change, q in planned.changes
@@ -198,3 +194,8 @@ class MotionHandlers:
         except InvalidRequest:
             planner = self._state.choose(request.model_copy(update={"planner": AUTO}))
         return planner.names[request.goal.kind]
+
+
+def _tip(model: RobotModel, groups: Sequence[str], verified: Verified) -> Pose:
+    """Where the tip of the first of these groups is at the end of a motion; without groups, the robot's tip."""
+    return pose_of(model.fk_link(model.robot.tip_of(groups), verified.trajectory.position[-1]))

@@ -48,7 +48,9 @@ def attach(scene: Scene, edit: AttachObject, tip: Array, meshes: Meshes) -> Scen
     item = objects.pop(edit.name)
     held = _moved(item, np.asarray(np.linalg.inv(tip), np.float64))
     parts = _parts(held, meshes) if isinstance(held, Mesh | Voxels) else ()
-    attached = Attached(object=held, touch_links=edit.touch_links, parts=parts, link=edit.link, mass=edit.mass)
+    attached = Attached(
+        object=held, touch_links=edit.touch_links, parts=parts, link=edit.link, mass=edit.mass, center=edit.center
+    )
     return scene.model_copy(update={"objects": tuple(objects.values()), "attached": (*scene.attached, attached)})
 
 

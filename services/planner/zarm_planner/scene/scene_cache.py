@@ -63,6 +63,10 @@ class SceneCache:
             ready = self._ready = next(known, None) or self.ready(scene, objects, openings)
         return ready.with_margins(margin, self_margin)
 
+    def robot(self) -> RobotModel:
+        """The robot with its tools and what else it carries in the present scene, its grippers open."""
+        return self._with(self._store.scene, ())
+
     def objects(self, scene: Scene) -> tuple[SceneObject, ...]:
         """The obstacles of a scene where they are now, and what the cameras see."""
         return *self.moved.objects(scene), *self.voxels.objects.values()

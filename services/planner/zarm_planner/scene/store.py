@@ -23,6 +23,7 @@ from zarm_contract.messages import (
     DetachObject,
     LoadScene,
     Mesh,
+    MountTool,
     PointCloud,
     RemoveObjects,
     Scene,
@@ -32,11 +33,13 @@ from zarm_contract.messages import (
     SetLinkCollision,
     SetObjectCollision,
     Sphere,
+    UnmountTool,
     Voxels,
 )
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.voxels import cells_of, check_reach, voxels_of
 from zarm_planner.scene.attached_objects import attach, detach, refuse_attached, set_links, set_objects
+from zarm_planner.scene.tools import Tools, unmount
 from zarm_runtime.state_file import StateFile
 
 log = logging.getLogger(__name__)
@@ -71,7 +74,7 @@ def _next(revision: SceneRevision) -> SceneRevision:
 
 
 class SceneStore:
-    """The scene of a robot with these `links`, in `<folder>/scene.json`, with the shapes of its meshes. Thread-safe.
+    """The scene of a robot with these `links` and `tools`, in `<folder>/scene.json`, with the shapes of its meshes. Thread-safe.
 
     Each edit draws a new revision, which is kept in the file: the revision of a scene read from the file is valid
     again, and that of a missing or lost file is never reused. A copy of the file that is edited elsewhere becomes
@@ -79,11 +82,13 @@ class SceneStore:
     first edit, because the objects in it may still stand around the robot.
     """
 
-    def __init__(self, folder: Path, meshes: Meshes | None = None, links: Collection[str] = ()) -> None:
-        """Raises Unavailable if the folder cannot be used, or holds the scene of a newer zarm."""
+    def __init__(
+        self, folder: Path, meshes: Meshes | None = None, links: Collection[str] = (), tools: Tools | None = None
+    ) -> None:
+        """Raises Unavailable if the folder cannot be used, or holds the scene of a newer zarm, or one with an unknown tool."""
         self._file = StateFile(folder / "scene.json", Scene, migrations=(_named, _identified), flushed=True)
         self._lock = threading.Lock()
-        self._links = frozenset(links)
+        self._links, self._tools = frozenset(links), tools or Tools()
         self.meshes = meshes or Meshes()
         self.lost: str | None = None
         self._scene = self._read()
@@ -110,7 +115,7 @@ class SceneStore:
                 raise Unavailable(self.lost)  # such an edit says nothing about the objects around the robot
             if isinstance(request.edit, AddObjects | LoadScene):
                 _refuse_links(request.edit.objects, self._links)
-            scene = _edited(self._scene, request, carrier(self._scene), self.meshes)
+            scene = _edited(self._scene, request, carrier(self._scene), self.meshes, self._tools)
             scene = scene.model_copy(update={"revision": _next(self._scene.revision)})
             content = encode(scene)
             if len(content) > MAX_BYTES:
@@ -140,12 +145,14 @@ class SceneStore:
     def _read(self) -> Scene:
         saved = self._file.load()
         if saved is not None:
-            return saved
+            scene = self._tools.renewed(saved)
+            return (
+                saved if scene == saved else self._saved(scene.model_copy(update={"revision": _next(saved.revision)}))
+            )
         new = Scene(revision=_revision(0))
         broken = self._file.broken
         if broken is None:
-            self._file.save(new)
-            return new
+            return self._saved(new)
         self.lost = (
             f"the saved scene could not be read and lies in {broken}; plans are refused until the scene is edited: "
             "load or add what stands around the robot, or clear it if nothing does"
@@ -153,8 +160,12 @@ class SceneStore:
         log.error("scene lost remedy=%s", self.lost)
         return new
 
+    def _saved(self, scene: Scene) -> Scene:
+        self._file.save(scene)
+        return scene
 
-def _edited(scene: Scene, request: SceneEdit, tip: Array, meshes: Meshes) -> Scene:
+
+def _edited(scene: Scene, request: SceneEdit, tip: Array, meshes: Meshes, tools: Tools) -> Scene:
     """The scene after an edit, not yet with its own revision; objects stay in their order."""
     objects = {item.name: item for item in scene.objects}
     match request.edit:
@@ -162,6 +173,10 @@ def _edited(scene: Scene, request: SceneEdit, tip: Array, meshes: Meshes) -> Sce
             return attach(scene, edit, tip, meshes)
         case DetachObject() as edit:
             return detach(scene, edit, tip)
+        case MountTool() as edit:
+            return tools.mount(scene, edit.tool)
+        case UnmountTool() as edit:
+            return unmount(scene, edit.tool)
         case SetLinkCollision() as edit:
             return set_links(scene, edit)
         case SetObjectCollision() as edit:

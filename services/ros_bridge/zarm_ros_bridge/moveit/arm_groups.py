@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from moveit_msgs.msg import MoveItErrorCodes as Val
@@ -39,7 +39,7 @@ class ArmGroups:
     """The groups that clients of MoveIt name. `default` is the name of the group of all joints."""
 
     def __init__(self, engine: Engine, default: str) -> None:
-        robot = engine.robot
+        self._engine, robot = engine, engine.robot
         self._groups = {default: ArmGroup(None, robot, tuple(range(len(robot.descriptor.joints))))}
         for name in robot.descriptor.groups:
             part = robot.group(name)
@@ -47,7 +47,7 @@ class ArmGroups:
             self._groups[name] = ArmGroup(name, part, joints)
 
     def of(self, name: str) -> ArmGroup:
-        """The group of this name. Raises Refusal."""
+        """The group of this name, with the tip of the tool that is mounted. Raises Refusal."""
         if name not in self._groups:
             known = ", ".join(map(repr, self._groups))
             raise Refusal(
@@ -55,4 +55,7 @@ class ArmGroups:
                 f"there is no group {name!r}; this robot has {known}, where the first is the one that the bridge is started with: --group",
                 "group_name",
             )
-        return self._groups[name]
+        group, tooled = self._groups[name], self._engine.tooled
+        if tooled is self._engine.robot:
+            return group
+        return replace(group, robot=tooled if group.name is None else tooled.group(group.name))

@@ -41,7 +41,7 @@ class Kinematics:
         """Fill in the poses of the links, in the frame of the request. Raises Refusal, UnknownFrame."""
         links = self._frames.links
         at = links.poses(self._state(request.robot_state))
-        names = list(request.fk_link_names) or [self._engine.robot.descriptor.tip_link]
+        names = list(request.fk_link_names) or [self._engine.tooled.descriptor.tip_link]
         frame = self._frames.pose_of(request.header.frame_id)
         into = np.eye(4) if frame is None else np.linalg.inv(frame)
         poses = []

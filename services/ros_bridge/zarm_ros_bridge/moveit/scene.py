@@ -350,7 +350,8 @@ class PlanningScenes:
     def _clear(self) -> None:
         scene = self._engine.client.scene
         for attached in scene.read().attached:
-            scene.detach(attached.object.name)
+            if attached.tool is None:
+                scene.detach(attached.object.name)
         scene.clear()
         self._origins.clear()
 

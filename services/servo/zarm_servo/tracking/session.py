@@ -138,7 +138,8 @@ class Session:
         self.goal_id, self._margin = goal_id, request.margin
         self.inbox = Inbox(robot)
         self._joints = robot.descriptor.joints
-        self._model: RobotModel = check.model
+        # No tool is changed while a goal runs.
+        self._model: RobotModel = check.model.with_tools(world.scene.snapshot(time.monotonic()).attached)
         self._measured = world.measured
         self._chunks, self._changed, self._delay = config.chunks, config.changed, delay
         self._scene = SessionScene(check, world.scene, world.moving, time.monotonic(), self._give_up)
