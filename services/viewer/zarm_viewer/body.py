@@ -1,4 +1,4 @@
-"""The look of links: visual meshes (STL, OBJ, COLLADA) if the URDF's files exist, else the exact geometry."""
+"""The look of links: visual meshes (STL, OBJ, COLLADA) if the URDF's files exist, else a smooth body around the exact geometry."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from viser.transforms import SE3, SO3
 
 from zarm_contract.robot import RobotDescription
 from zarm_viewer.drawing import Shape, file_mesh, link_mesh
+from zarm_viewer.skin import skin
 
 log = logging.getLogger(__name__)
 
@@ -43,7 +44,8 @@ def _shapes_of(robot: RobotDescription, link: str, visuals: tuple[_Visual, ...])
         log.warning("visual mesh not drawn link=%s reason=%s", link, error)
         meshes = ()
     if not meshes and (primitives := robot.descriptor.collision.get(link)):
-        return ((link_mesh(primitives), SE3.identity()),)
+        smooth = skin(primitives)
+        return ((link_mesh(primitives) if smooth is None else smooth, SE3.identity()),)
     return meshes
 
 
