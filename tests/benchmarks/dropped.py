@@ -46,6 +46,16 @@ def _box_ahead(plan: Plan, rng: np.random.Generator) -> Cuboid:
     return Cuboid(kind="cuboid", name="box", position=tuple(place.tolist()), size=tuple(size.tolist()))
 
 
+def time_to(box: Cuboid, plan: Plan, position: tuple[float, ...]) -> float:
+    """How long (s) a motion from a position on it takes to the box, without braking."""
+    times, positions = np.array(plan.trajectory.time), np.array(plan.trajectory.position)
+    now = int(np.linalg.norm(positions - position, axis=1).argmin())
+    for time_there, there in zip(times[now:], positions[now:], strict=True):
+        if rows.distances(np.array([box.position]), RobotShapes(MODEL).at(there).parts).min() < min(box.size) / 2:
+            return float(time_there - times[now])
+    return float("inf")
+
+
 def touches(cell: Cell) -> bool:
     """Whether the robot touches the box now."""
     pairs = [{one.first, one.second} for one in cell.robot.simulation.state().contacts]
@@ -57,12 +67,17 @@ def trial(cell: Cell, goal: tuple[float, ...], rng: np.random.Generator) -> tupl
     plan = cell.robot.plan(goal, velocity_scale=SCALE)
     running = cell.robot.start(plan)
     time.sleep(float(rng.uniform(0.0, 0.2)) * plan.trajectory.time[-1])
-    cell.world(FLOOR, box_ahead(cell, plan, rng))
+    box = box_ahead(cell, plan, rng)
+    cell.world(FLOOR, box)
     held = touched = False
-    until = time.monotonic() + WATCHED
+    appeared = time.monotonic()
+    where, until = cell.robot.joint_state().position, appeared + WATCHED
     for state in cell.robot.goal_states(running):
-        held = held or state.hold is not None
-        touched = touched or touches(cell)
+        if state.hold is not None and not held:
+            held, seen = True, time.monotonic() - appeared
+        if not touched and touches(cell):
+            touched = True
+            print(f"touched: {time_to(box, plan, where):.2f} s away, seen after {seen if held else -1:.2f} s")
         if held and time.monotonic() > until:
             break
     cell.world(FLOOR)

@@ -75,12 +75,12 @@ class Run:
     def cancel(self) -> None:
         """Its client cancels it."""
         self._cancelled = True
-        self._stop()
+        self.stop()
 
     def preempt(self) -> None:
         """Another goal takes its place."""
         self.preempted = True
-        self._stop()
+        self.stop()
 
     def overtaken(self) -> Cancelled:
         """The error of a goal replaced by another one before its turn."""
@@ -90,7 +90,7 @@ class Run:
     def leave(self) -> None:
         """This process is ending: stop planning, but let a motion continue."""
         if self._goal_id is None:
-            self._stop()
+            self.stop()
 
     def cancelled(self) -> bool:
         """Whether its client cancelled it; if so, rclpy has recorded that when this returns."""
@@ -120,17 +120,18 @@ class Run:
         """From now on it corresponds to this goal of the executor, and ends with it."""
         self._goal_id = goal_id
         if self._stopped is not None:
-            self._stop()
+            self.stop()
 
     def follow(self, goal_id: str) -> Iterator[GoalState]:
         """The states of its executor goal. Raises Unavailable as `states_of` does."""
         self.becomes(goal_id)
         for state in states_of(self._engine, goal_id):
             if self._stopped is not None and not state.done and time.monotonic() - self._stopped > _AGAIN:
-                self._stop()
+                self.stop()
             yield state
 
-    def _stop(self) -> None:
+    def stop(self) -> None:
+        """End its planning, or its motion."""
         self._stopped = time.monotonic()
         try:
             self._end_planning()

@@ -17,6 +17,7 @@ from zarm_ros_bridge.convert.joint_trajectories import trajectory_of
 from zarm_ros_bridge.convert.times import NANOSECONDS, ros_time
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
+from zarm_ros_bridge.goal_tolerances import GoalTolerances
 from zarm_ros_bridge.goals import Run
 from zarm_ros_bridge.ros import Ros
 
@@ -51,13 +52,14 @@ class TrajectoryAction:
             )
         if not goal.trajectory.points:  # hold: the goal before has come to rest
             return _Result(error_code=_Result.SUCCESSFUL)
+        tolerances = GoalTolerances(goal)
         motion = trajectory_of(goal.trajectory, self._engine.joints, self._frames.joints, "trajectory")
         self._wait_for(goal.trajectory.header.stamp, 0.0 if motion is None else motion.duration, run)
         if motion is not None:
             run.go_on()
             self._engine.client.start(ExecuteRequest(trajectory=motion), goal_id=run.name, timeout=ANSWER_SECONDS)
-            self._follow(run, _Feedback(run.handle, self._engine, self._frames))
-        self._check_end(goal)
+            self._follow(run, _Watch(run.handle, self._engine, self._frames, tolerances))
+        tolerances.check_end(dict(zip(self._engine.joints, self._frames.joints(), strict=True)))
         return _Result(error_code=_Result.SUCCESSFUL)
 
     def _wait_for(self, stamp: Any, duration: float, run: Run) -> None:
@@ -78,44 +80,50 @@ class TrajectoryAction:
             run.go_on()
             time.sleep(min(_STEP, max(begin - time.time(), 0.0)))
 
-    def _follow(self, run: Run, feedback: _Feedback | None) -> None:
+    def _follow(self, run: Run, watch: _Watch | None) -> None:
+        fault: ExecutionFailed | None = None
         for state in run.follow(run.name):
-            if feedback is not None:
-                feedback.show(state)
+            if watch is not None and fault is None:
+                fault = watch.see(state)
+                if fault is not None:
+                    run.stop()
+        if fault is not None:
+            raise fault
         if state.problem is not None:
             raise self._engine.terms.of_error(from_problem(state.problem))
         if state.status != "succeeded":
             raise Cancelled("the motion was ended before the robot had reached the goal")
-
-    def _check_end(self, goal: Any) -> None:
-        """Raises ExecutionFailed if a joint rests further from the end than the goal's own tolerance."""
-        measured = dict(zip(self._engine.joints, self._frames.joints(), strict=True))
-        end = dict(zip(goal.trajectory.joint_names, goal.trajectory.points[-1].positions, strict=True))
-        for tolerance in goal.goal_tolerance:
-            if tolerance.position > 0.0 and tolerance.name in end and tolerance.name in measured:
-                off = abs(end[tolerance.name] - measured[tolerance.name])
-                if off > tolerance.position:
-                    raise ExecutionFailed(f"{tolerance.name} rests {off:.4f} rad from its goal", joint=tolerance.name)
 
     def _failed(self, error: ZarmError, text: str) -> Any:
         self._log.warning(f"follow_joint_trajectory: {text}")
         return _Result(error_code=_code(error), error_string=text)
 
 
-class _Feedback:
-    """Reports where the robot is, for each state of its goal."""
+class _Watch:
+    """Looks at each state of a goal: reports where the robot is, and tells when it leaves the goal's own tolerances."""
 
-    def __init__(self, handle: ServerGoalHandle, engine: Engine, frames: Frames) -> None:
+    def __init__(self, handle: ServerGoalHandle, engine: Engine, frames: Frames, tolerances: GoalTolerances) -> None:
         self._handle = handle
         self._joints = list(engine.joints)
         self._frames = frames
+        self._tolerances = tolerances
 
-    def show(self, state: GoalState) -> None:
-        """Report a state."""
+    def see(self, state: GoalState) -> ExecutionFailed | None:
+        """Report a state; returns how it breaks a tolerance, if it does."""
         try:
             desired, actual = list(state.joint_command), list(self._frames.joints())
         except ZarmError:  # the executor sees to a robot that does not report its joints
-            return
+            return None
+        self._report(desired, actual)
+        if state.done:
+            return None
+        try:
+            self._tolerances.check_motion(state, dict(zip(self._joints, actual, strict=True)), self._joints)
+        except ExecutionFailed as fault:
+            return fault
+        return None
+
+    def _report(self, desired: list[float], actual: list[float]) -> None:
         error = [a - b for a, b in zip(desired, actual, strict=True)] if desired else []
         feedback = FollowJointTrajectory.Feedback(
             joint_names=self._joints,
@@ -131,9 +139,9 @@ def _code(error: ZarmError) -> int:
     """The code of control_msgs for an error; those that have none of their own are invalid goals."""
     field = error.problem.field or ""
     if error.code == "tolerance_violated":
-        at_end = "rests" in error.problem.message
+        at_end = field.startswith("goal_") or "rests" in error.problem.message
         return int(_Result.GOAL_TOLERANCE_VIOLATED if at_end else _Result.PATH_TOLERANCE_VIOLATED)
-    if field.endswith("joint_names"):
+    if field.endswith(("joint_names", "].name")):
         return int(_Result.INVALID_JOINTS)
     if field.endswith("header.stamp"):
         return int(_Result.OLD_HEADER_TIMESTAMP)

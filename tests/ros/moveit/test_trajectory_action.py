@@ -129,3 +129,39 @@ def test_a_goal_tolerance_is_checked_at_the_end(arm: Stack, controller: ActionCl
     sent = Sent(arm.ros.node, controller, goal((2.0, THERE), goal_tolerance=[tolerance]))
     assert sent.accepted
     assert sent.ended()[1].error_code == R.SUCCESSFUL
+
+
+def test_goals_own_tolerances_stop_the_robot_on_its_way(arm: Stack, controller: ActionClient, robot: Robot) -> None:
+    robot.speed(0.3)
+    try:
+        late = Sent(arm.ros.node, controller, goal((2.0, THERE), goal_time_tolerance=Duration(nanosec=200_000_000)))
+        status, result = late.ended()
+        assert (status, result.error_code) == (ABORTED, R.GOAL_TOLERANCE_VIOLATED), result.error_string
+        assert "more than 0.2 s late" in result.error_string
+        assert abs(robot.joint_state().position[0] - THERE[0]) > 0.05, "it stopped on its way"
+        assert robot.state().mode == "idle"
+    finally:
+        robot.speed(1.0)
+
+
+def test_joint_that_leaves_the_goals_path_tolerance_stops_the_robot(
+    arm: Stack, controller: ActionClient, robot: Robot
+) -> None:
+    tolerances = [JointTolerance(name="joint_1", position=1e-7)]
+    sent = Sent(arm.ros.node, controller, goal((2.0, THERE), path_tolerance=tolerances))
+    status, result = sent.ended()
+    assert (status, result.error_code) == (ABORTED, R.PATH_TOLERANCE_VIOLATED), result.error_string
+    assert "joint_1 is" in result.error_string
+    unbound = [JointTolerance(name="joint_1", position=-1.0)]
+    sent = Sent(arm.ros.node, controller, goal((2.0, THERE), path_tolerance=unbound))
+    assert sent.ended()[1].error_code == R.SUCCESSFUL
+
+
+def test_tolerance_of_an_unknown_joint_is_refused_by_name(arm: Stack, controller: ActionClient, robot: Robot) -> None:
+    for field in ("path_tolerance", "goal_tolerance"):
+        tolerances = {field: [JointTolerance(name="joint_9", position=0.1)]}
+        sent = Sent(arm.ros.node, controller, goal((2.0, THERE), **tolerances))
+        status, result = sent.ended()
+        assert (status, result.error_code) == (ABORTED, R.INVALID_JOINTS)
+        assert "'joint_9' is not a joint of the trajectory" in result.error_string
+    assert np.allclose(robot.joint_state().position, HOME, atol=1e-3)
