@@ -46,14 +46,19 @@ def _box_ahead(plan: Plan, rng: np.random.Generator) -> Cuboid:
     return Cuboid(kind="cuboid", name="box", position=tuple(place.tolist()), size=tuple(size.tolist()))
 
 
-def time_to(box: Cuboid, plan: Plan, position: tuple[float, ...]) -> float:
-    """How long (s) a motion from a position on it takes to the box, without braking."""
+def time_to(box: Cuboid, plan: Plan, position: tuple[float, ...]) -> tuple[float, float]:
+    """How long (s) a motion from a position on it takes to the box without braking, and how long braking takes from there."""
     times, positions = np.array(plan.trajectory.time), np.array(plan.trajectory.position)
+    velocity = np.abs(np.array(plan.trajectory.velocity))
     now = int(np.linalg.norm(positions - position, axis=1).argmin())
+    limits = UR5E.descriptor.cspace
+    braking = (velocity[now] / limits.acceleration + np.divide(limits.acceleration, limits.jerk)).max()
+    unit = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 7)] * 3), axis=-1).reshape(-1, 3)
+    points = np.array(box.position) + unit * box.size
     for time_there, there in zip(times[now:], positions[now:], strict=True):
-        if rows.distances(np.array([box.position]), RobotShapes(MODEL).at(there).parts).min() < min(box.size) / 2:
-            return float(time_there - times[now])
-    return float("inf")
+        if rows.distances(points, RobotShapes(MODEL).at(there).parts).min() < 0.002:
+            return float(time_there - times[now]), float(braking)
+    return float("inf"), float(braking)
 
 
 def touches(cell: Cell) -> bool:
@@ -77,7 +82,10 @@ def trial(cell: Cell, goal: tuple[float, ...], rng: np.random.Generator) -> tupl
             held, seen = True, time.monotonic() - appeared
         if not touched and touches(cell):
             touched = True
-            print(f"touched: {time_to(box, plan, where):.2f} s away, seen after {seen if held else -1:.2f} s")
+            away, braking = time_to(box, plan, where)
+            told = f"held after {seen:.2f} s" if held else "not held"
+            touch = time.monotonic() - appeared
+            Console().print(f"touched after {touch:.2f} s: {away:.2f} s away, braking takes {braking:.2f} s, {told}")
         if held and time.monotonic() > until:
             break
     cell.world(FLOOR)

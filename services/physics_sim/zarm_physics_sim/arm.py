@@ -160,11 +160,14 @@ class PhysicalArm:
         with self._lock:
             return self._simulation, self._simulation.snapshot(), time.time()
 
-    def change_world(self, world: World, carried: Sequence[Attached]) -> None:
-        """Go on in another world."""
+    def change_world(
+        self, world: World, carried: Sequence[Attached], prepare: Callable[[Simulation], None] = lambda _: None
+    ) -> None:
+        """Go on in another world, once that is prepared for."""
         changed = self._simulation.in_world(world, carried)
         if changed is self._simulation:
             return
+        prepare(changed)
         with self._lock:
             changed.go_on_from(self._simulation)
             self._simulation = changed

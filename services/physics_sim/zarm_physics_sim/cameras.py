@@ -29,6 +29,8 @@ _MOST = 65.535
 """The greatest depth (m) of a pixel."""
 _WAIT = 0.2
 """s until it is looked again whether there is a camera."""
+_PREPARED = 3.0
+"""Longest wait (s) for the renderers of another world."""
 
 
 class CameraRenderer:
@@ -110,6 +112,8 @@ class SimulatedCameras:
         self._arm, self._images = arm, images
         self._cameras: tuple[Camera, ...] = ()
         self._changed = threading.Event()
+        self._coming: Simulation | None = None
+        self._prepared = threading.Event()
         self._ended = False
         self._thread = threading.Thread(target=self._run, name="cameras")
 
@@ -129,11 +133,25 @@ class SimulatedCameras:
         self._cameras = cameras.cameras
         self._changed.set()
 
+    def prepare(self, simulation: Simulation) -> None:
+        """Make renderers for a simulation before it takes the place of the present one: that takes the time of some images, in which a
+        real camera would not be blind.
+        """
+        if self._thread.is_alive():
+            self._prepared.clear()
+            self._coming = simulation
+            self._changed.set()
+            self._prepared.wait(_PREPARED)
+
     def _run(self) -> None:
-        renderers: dict[tuple[int, int], CameraRenderer] = {}
+        renderers = _Renderers()
         due: dict[str, float] = {}
         try:
             while not self._ended:
+                if (coming := self._coming) is not None:
+                    self._coming = None
+                    renderers.prepare(coming)
+                    self._prepared.set()
                 now, cameras = time.monotonic(), self._cameras
                 soon = [camera for camera in cameras if due.get(camera.name, now) <= now]
                 for camera in soon:
@@ -145,26 +163,21 @@ class SimulatedCameras:
         except Exception:  # without a way to render, or out of graphics memory: the robot goes on
             log.exception("the cameras see nothing any more")
         finally:
-            for renderer in renderers.values():
-                renderer.close()
+            self._prepared.set()
+            renderers.close()
 
-    def _take(self, camera: Camera, renderers: dict[tuple[int, int], CameraRenderer]) -> None:
+    def _take(self, camera: Camera, renderers: _Renderers) -> None:
         size = camera.intrinsics
         if size is None:
             return
-        simulation, data, stamp = self._arm.picture()
         if camera.projection == "spherical":
+            simulation, data, stamp = self._arm.picture()
             pixels = ranges(simulation, camera, size, data)
         else:
-            shape = (size.width, size.height)
-            known = renderers.get(shape)
-            if known is None or known.simulation is not simulation:
-                if known is not None:
-                    known.close()
-                known = renderers[shape] = CameraRenderer(simulation, *shape)
-                simulation, data, stamp = self._arm.picture()
-                if simulation is not known.simulation:
-                    return
+            known = renderers.of(self._arm.simulation, (size.width, size.height))
+            simulation, data, stamp = self._arm.picture()
+            if simulation is not known.simulation:  # the world has changed meanwhile
+                return
             pixels = known.depth(camera, size, data)
             if self._images.wants_color(camera.name):
                 colors = known.color(camera, size, data)
@@ -172,3 +185,36 @@ class SimulatedCameras:
                 self._images.put_color(camera.name, encode_image(about, colors.tobytes()))
         header = ImageHeader(stamp=stamp, width=size.width, height=size.height, encoding="16UC1")
         self._images.put_depth(camera.name, encode_image(header, pixels.tobytes()))
+
+
+class _Renderers:
+    """Renderers by the size of images, those in use and those for a simulation to come."""
+
+    def __init__(self) -> None:
+        self._used: dict[tuple[int, int], CameraRenderer] = {}
+        self._spare: dict[tuple[int, int], CameraRenderer] = {}
+
+    def prepare(self, simulation: Simulation) -> None:
+        """Make those for a simulation to come."""
+        for shape in self._used:
+            if (unused := self._spare.pop(shape, None)) is not None:
+                unused.close()
+            self._spare[shape] = CameraRenderer(simulation, *shape)
+
+    def of(self, simulation: Simulation, shape: tuple[int, int]) -> CameraRenderer:
+        """The one for images of a shape (w, h)."""
+        used = self._used.get(shape)
+        if used is None or used.simulation is not simulation:
+            if used is not None:
+                used.close()
+            ready = self._spare.pop(shape, None)
+            if ready is not None and ready.simulation is not simulation:
+                ready.close()
+                ready = None
+            used = self._used[shape] = ready or CameraRenderer(simulation, *shape)
+        return used
+
+    def close(self) -> None:
+        """Give their graphics memory back."""
+        for renderer in (*self._used.values(), *self._spare.values()):
+            renderer.close()

@@ -47,13 +47,14 @@ def start(service: Service) -> Iterator[None]:
     with service.open_bus() as bus, service.open_bus() as image_bus:
         truth = Truth(bus.publisher(service.keys.physics_state).put)
         arm = PhysicalArm(simulation, settings, order, options.seed, truth.report)
-        surroundings = Surroundings(arm, world)
-        bus.watch(service.keys.scene, lambda _, scene: surroundings.see(scene))
-        bus.serve(service.keys.physics_world, surroundings.load)
         cameras = SimulatedCameras(arm, ImagePublishers(image_bus, service.keys))
-        bus.watch(service.keys.cameras, cameras.receive)
-        with cameras, driving(service, bus, axes, arm, PhysicalHands(arm)):
-            yield
+        surroundings = Surroundings(arm, cameras, world)
+        with cameras:
+            bus.watch(service.keys.cameras, cameras.receive)
+            bus.watch(service.keys.scene, lambda _, scene: surroundings.see(scene))
+            bus.serve(service.keys.physics_world, surroundings.load)
+            with driving(service, bus, axes, arm, PhysicalHands(arm)):
+                yield
 
 
 def _note(simulation: Simulation, density: float) -> str:

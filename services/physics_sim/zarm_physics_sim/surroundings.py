@@ -7,6 +7,7 @@ import threading
 
 from zarm_contract.messages import LoadWorld, Nothing, Scene
 from zarm_physics_sim.arm import PhysicalArm
+from zarm_physics_sim.cameras import SimulatedCameras
 from zarm_physics_sim.world import World
 
 log = logging.getLogger(__name__)
@@ -15,8 +16,8 @@ log = logging.getLogger(__name__)
 class Surroundings:
     """Puts an arm into a world, or if that is empty into the scene, which otherwise is what the planner believes."""
 
-    def __init__(self, arm: PhysicalArm, world: World) -> None:
-        self._arm, self._world, self._scene = arm, world, Scene(revision="0-000000000000")
+    def __init__(self, arm: PhysicalArm, cameras: SimulatedCameras, world: World) -> None:
+        self._arm, self._cameras, self._world, self._scene = arm, cameras, world, Scene(revision="0-000000000000")
         self._lock = threading.Lock()
 
     def see(self, scene: Scene) -> None:
@@ -38,4 +39,4 @@ class Surroundings:
         world = self._world.of_scene(self._scene.objects)
         if meshes := [item.name for item in world.objects.values() if item.kind == "mesh"]:
             log.warning("meshes are left out of the physics objects=%s", ",".join(meshes))
-        self._arm.change_world(world, self._scene.attached)
+        self._arm.change_world(world, self._scene.attached, self._cameras.prepare)
