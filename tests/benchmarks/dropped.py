@@ -26,37 +26,44 @@ from zarm_perception.robot_shape import RobotShapes
 SCALE = 0.3
 """Share of the joints' speeds."""
 LINKS = {*UR5E.descriptor.collision}
+APPEARING = 0.4
+"""s that the simulation takes at most to have the box."""
 WATCHED = 2.5
 """s for which a held motion is watched."""
 
 
 def box_ahead(cell: Cell, plan: Plan, rng: np.random.Generator) -> Cuboid:
-    """A box where the tip will be later, 10 cm from where the robot is."""
+    """A box where the tip will be later, 10 cm from wherever the robot can be when the box appears."""
+    times, positions = np.array(plan.trajectory.time), np.array(plan.trajectory.position)
+    now = _index(positions, cell.robot.joint_state().position)
+    soon = positions[(times >= times[now]) & (times <= times[now] + APPEARING)]
+    robot = [RobotShapes(MODEL).at(there).parts for there in soon]
     while True:
-        box = _box_ahead(plan, rng)
-        robot = RobotShapes(MODEL).at(np.array(cell.robot.joint_state().position)).parts
-        if rows.distances(np.array([box.position]), robot).min() > 0.1 + max(box.size):
+        tip = MODEL.fk_tip(positions[int(rng.uniform(0.6, 0.95) * len(positions))])[:3, 3]
+        place, size = tip + rng.uniform(-0.05, 0.05, 3), rng.uniform(0.06, 0.15, 3)
+        box = Cuboid(kind="cuboid", name="box", position=tuple(place.tolist()), size=tuple(size.tolist()))
+        if min(rows.distances(_points(box), parts).min() for parts in robot) > 0.1:
             return box
 
 
-def _box_ahead(plan: Plan, rng: np.random.Generator) -> Cuboid:
-    positions = np.array(plan.trajectory.position)
-    tip = MODEL.fk_tip(positions[int(rng.uniform(0.55, 0.85) * len(positions))])[:3, 3]
-    place, size = tip + rng.uniform(-0.05, 0.05, 3), rng.uniform(0.06, 0.15, 3)
-    return Cuboid(kind="cuboid", name="box", position=tuple(place.tolist()), size=tuple(size.tolist()))
+def _index(positions: np.ndarray, position: tuple[float, ...]) -> int:
+    return int(np.linalg.norm(positions - position, axis=1).argmin())
+
+
+def _points(box: Cuboid) -> np.ndarray:
+    unit = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 7)] * 3), axis=-1).reshape(-1, 3)
+    return np.array(box.position) + unit * box.size
 
 
 def time_to(box: Cuboid, plan: Plan, position: tuple[float, ...]) -> tuple[float, float]:
     """How long (s) a motion from a position on it takes to the box without braking, and how long braking takes from there."""
     times, positions = np.array(plan.trajectory.time), np.array(plan.trajectory.position)
     velocity = np.abs(np.array(plan.trajectory.velocity))
-    now = int(np.linalg.norm(positions - position, axis=1).argmin())
+    now = _index(positions, position)
     limits = UR5E.descriptor.cspace
     braking = (velocity[now] / limits.acceleration + np.divide(limits.acceleration, limits.jerk)).max()
-    unit = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 7)] * 3), axis=-1).reshape(-1, 3)
-    points = np.array(box.position) + unit * box.size
     for time_there, there in zip(times[now:], positions[now:], strict=True):
-        if rows.distances(points, RobotShapes(MODEL).at(there).parts).min() < 0.002:
+        if rows.distances(_points(box), RobotShapes(MODEL).at(there).parts).min() < 0.002:
             return float(time_there - times[now]), float(braking)
     return float("inf"), float(braking)
 

@@ -11,6 +11,7 @@ from zarm_ros_bridge.action_servers import ActionServers
 from zarm_ros_bridge.additions import Additions
 from zarm_ros_bridge.availability import Availability
 from zarm_ros_bridge.cameras import CameraTopics
+from zarm_ros_bridge.controller_topics import ControllerTopics
 from zarm_ros_bridge.convert.colours import Colour
 from zarm_ros_bridge.diagnostics import Diagnostics
 from zarm_ros_bridge.drivers import Drivers
@@ -96,6 +97,7 @@ def start(service: Service) -> Iterator[None]:
             Availability(engine, parameters),
             Diagnostics(ros, engine),
             TransformPublisher(ros, engine, frames),
+            ControllerTopics(ros, engine, frames),
             ExitStack() as serving,
         ):
             ExecutionActions(ros, engine, parameters, motions, generation, servers, turns)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory
-from control_msgs.msg import JointTolerance
+from control_msgs.msg import JointTolerance, JointTrajectoryControllerState
 from rclpy.action import ActionClient
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -165,3 +165,28 @@ def test_tolerance_of_an_unknown_joint_is_refused_by_name(arm: Stack, controller
         assert (status, result.error_code) == (ABORTED, R.INVALID_JOINTS)
         assert "'joint_9' is not a joint of the trajectory" in result.error_string
     assert np.allclose(robot.joint_state().position, HOME, atol=1e-3)
+
+
+def test_topics_of_a_controller_move_the_robot_and_tell_how_it_follows(arm: Stack, robot: Robot) -> None:
+    node, states = arm.ros.node, list[JointTrajectoryControllerState]()
+    subscription = node.create_subscription(
+        JointTrajectoryControllerState, "/zarm_controller/controller_state", states.append, 10
+    )
+    publisher = node.create_publisher(JointTrajectory, "/zarm_controller/joint_trajectory", 1)
+    try:
+        eventually(lambda: states and publisher.get_subscription_count(), "the controller is there")
+        assert list(states[-1].joint_names) == list(JOINTS)
+        assert np.allclose(states[-1].feedback.positions, HOME, atol=1e-3)
+        publisher.publish(goal((2.0, THERE)).trajectory)  # type: ignore[attr-defined]
+        eventually(lambda: np.allclose(states[-1].feedback.positions, THERE, atol=1e-3), "the robot is there")
+        moving = [one for one in states if 0.05 < one.reference.positions[0] - HOME[0] < 0.35]
+        assert moving
+        assert all(abs(one.error.positions[0]) < 0.1 for one in moving)
+        publisher.publish(goal((4.0, HOME)).trajectory)  # type: ignore[attr-defined]
+        eventually(lambda: states[-1].feedback.positions[0] < THERE[0] - 0.05, "it goes back")
+        publisher.publish(JointTrajectory())
+        eventually(lambda: robot.state().mode == "idle", "it stands")
+        assert robot.joint_state().position[0] > HOME[0] + 0.02, "it stopped on its way"
+    finally:
+        destroyed(node, node.destroy_subscription, subscription)
+        destroyed(node, node.destroy_publisher, publisher)
