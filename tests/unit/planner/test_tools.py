@@ -166,6 +166,9 @@ def test_payload_of_the_tool_counts_in_torques(tmp_path: Path) -> None:
 
 def test_tool_survives_a_restart_as_the_descriptor_has_it_now(cell: Cell) -> None:
     cell.mount("welder")
+    box = Cuboid(kind="cuboid", name="box", position=(0.6, 0.6, 0.1), size=(0.05, 0.05, 0.05))
+    cell.edit(AddObjects(op="add", objects=(box,)))
+    cell.edit(AttachObject(op="attach", name="box"))
     before = cell.store.scene
     cell.planner.close()
     cell.planner = cell.started()
@@ -175,7 +178,8 @@ def test_tool_survives_a_restart_as_the_descriptor_has_it_now(cell: Cell) -> Non
     cell.robot = load_robot(str(path))
     cell.model = RobotModel.of(cell.robot)
     cell.started()
-    assert cell.store.scene.attached[0].object.radius == 0.04  # type: ignore[union-attr]
+    radii = {one.object.name: getattr(one.object, "radius", None) for one in cell.store.scene.attached}
+    assert radii == {"box": None, "welder_1": 0.04, "welder_2": 0.01}
     assert cell.store.scene.revision != before.revision, "plans made with the thinner one are not of this scene"
     path.write_text(path.read_text().replace("welder:", "other:"))
     cell.robot = load_robot(str(path))
@@ -230,6 +234,12 @@ def test_object_on_the_flange_stays_there_when_a_tool_is_mounted(cell: Cell) -> 
     scene = cell.edit(DetachObject(op="detach", name="camera"))
     (there,) = scene.objects
     assert there.position == pytest.approx(camera.position, abs=1e-9)
+
+
+def test_capsule_without_length_is_a_ball(tmp_path: Path) -> None:
+    path = Path(with_tools(tmp_path))
+    path.write_text(path.read_text().replace("b: [0.04, 0, 0.24], radius: 0.01", "b: [0, 0, 0.12], radius: 0.01"))
+    assert [one.object.kind for one in Tools.of(load_robot(str(path))).shapes["welder"]] == ["cylinder", "sphere"]
 
 
 def test_plan_names_no_other_tip_without_a_tool(cell: Cell) -> None:

@@ -83,8 +83,10 @@ class Tools:
                     f"the saved scene has the tool {name} mounted, and {self.path} does not describe it; describe it there, and unmount "
                     "it before you take it out"
                 )
-        others = [one for one in scene.attached if one.tool is None]
         mounted = [shape for name in scene.tools for shape in self.shapes[name]]
+        if mounted == [one for one in scene.attached if one.tool is not None]:
+            return scene
+        others = [one for one in scene.attached if one.tool is None]
         return scene.model_copy(update={"attached": (*others, *mounted)})
 
 
@@ -147,6 +149,8 @@ def _shape(name: str, primitive: CollisionPrimitive) -> Primitive:
         )
     a, b = np.array(primitive.a), np.array(primitive.b)
     length = float(np.linalg.norm(b - a))
+    if length == 0.0:
+        return Sphere(kind="sphere", name=name, position=primitive.a, radius=primitive.radius)
     frame = np.eye(4)
     frame[:3, :3], frame[:3, 3] = rotation_to(b - a), (a + b) / 2
     placed = pose_of(frame).model_dump() | {"name": name, "radius": primitive.radius, "length": length}
