@@ -24,7 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
-from toppra.constraint import JointTorqueConstraint  # after `toppra_without_plots`
+from toppra import SplineInterpolator
+from toppra.algorithm import TOPPRA
+from toppra.constraint import JointAccelerationConstraint, JointTorqueConstraint, JointVelocityConstraint
 
 from support.planner import motion_bench
 from zarm_contract.errors import ZarmError
@@ -45,7 +47,6 @@ from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
 from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
-from zarm_planner.timing import toppra_without_plots
 from zarm_planner.timing.smoothing import smooth_path
 from zarm_planner.timing.torque import TooHeavy, within_torque
 from zarm_trajectory.limits import Limits
@@ -86,19 +87,19 @@ def carrying(mass: float) -> Dynamics:
 
 def toppra_time(motion: TimedTrajectory, limits: Limits, dynamics: Dynamics) -> float:
     """How long (s) the path of a motion takes by TOPPRA."""
-    path = toppra_without_plots.SplineInterpolator(motion.time, motion.position)
+    path = SplineInterpolator(motion.time, motion.position)
     dof = motion.position.shape[1]
 
     def torque(q: Array, v: Array, a: Array) -> Array:
         return dynamics.torque(*(each[None] for each in (q, v, a)))[0]
 
     constraints = [
-        toppra_without_plots.JointVelocityConstraint(limits.velocity),
-        toppra_without_plots.JointAccelerationConstraint(limits.acceleration),
+        JointVelocityConstraint(limits.velocity),
+        JointAccelerationConstraint(limits.acceleration),
         JointTorqueConstraint(torque, np.stack((-dynamics.limit, dynamics.limit), axis=1), np.zeros(dof)),
     ]
     grid = np.linspace(0.0, motion.duration, int(motion.duration / 0.003))
-    solver = toppra_without_plots.TOPPRA(constraints, path, gridpoints=grid, solver_wrapper="seidel")
+    solver = TOPPRA(constraints, path, gridpoints=grid, solver_wrapper="seidel")
     solver.compute_parameterization(0.0, 0.0)
     speed = solver.problem_data.sd_vec
     return float("nan") if speed is None else float((2.0 * np.diff(grid) / (speed[1:] + speed[:-1])).sum())

@@ -62,10 +62,20 @@ class Lab:
         self.joints.put(state)
 
 
-@pytest.fixture
-def lab(tmp_path: Path) -> Iterator[Lab]:
+@pytest.fixture(scope="module")
+def processes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     with ExitStack() as stack:
-        yield Lab(stack, tmp_path)
+        yield Lab(stack, tmp_path_factory.mktemp("lab"))
+
+
+@pytest.fixture
+def lab(processes: Lab) -> Iterator[Lab]:
+    """Without cameras, and with an empty map."""
+    yield processes
+    for one in processes.robot.perception.cameras():
+        processes.robot.perception.remove(one.name)
+    processes.robot.perception.clear()
+    eventually(lambda: not processes.blocks.objects, "the map is empty")
 
 
 def flat(depth: float, encoding: str, *, big: bool = False, padding: int = 0) -> Image:

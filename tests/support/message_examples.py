@@ -627,6 +627,7 @@ EXAMPLES: tuple[Message, ...] = (
         add=True,
     ),
     _TEXTURE,
+    m.PhysicsObjects(objects=(_CUBOID,)),
     m.PhysicsState(
         stamp=1700000000.25,
         time=12.5,
@@ -635,7 +636,9 @@ EXAMPLES: tuple[Message, ...] = (
         velocity=(0.0, 0.5),
         effort=(12.0, -3.5),
         bodies=(m.BodyPose(name="cube", position=(0.5, 0.0, 0.02), orientation=(0.0, 0.0, 0.0, 1.0)),),
-        contacts=(m.Contact(first="floor", second="cube", position=(0.5, 0.0, 0.0), force=1.96),),
+        contacts=(
+            m.Contact(first="floor", second="cube", position=(0.5, 0.0, 0.0), force=1.96, normal=(0.0, 0.0, 1.0)),
+        ),
     ),
     # every service
     m.Nothing(),

@@ -69,7 +69,11 @@ def access_control() -> dict[str, object]:
             ("liveliness_query", "declare_liveliness_subscriber"),
             (ALL_ALIVE, ALL_CLIENTS),
         ),
-        _rule("everyone reads", ("query",), (reading(key) for key, granted in table.items() if granted.latched)),
+        _rule(
+            "everyone reads",
+            ("query",),
+            (reading(key) for key, granted in table.items() if granted.latched and granted.reads == EVERYONE),
+        ),
     ]
     own: dict[Role, list[dict[str, object]]] = {
         role: [
@@ -84,6 +88,15 @@ def access_control() -> dict[str, object]:
                 ),
             ),
             _rule(f"{role} asks", ("query",), (key for key, granted in table.items() if role in granted.asks)),
+            _rule(
+                f"{role} reads what is not for everyone",
+                ("query",),
+                (
+                    reading(key)
+                    for key, granted in table.items()
+                    if granted.latched and granted.reads != EVERYONE and role in granted.reads
+                ),
+            ),
             _rule(
                 f"{role} does no more than read",
                 ("query",),

@@ -26,7 +26,8 @@ class Rights:
     """What each role may do on a key: publish, answer requests, send requests to exactly this key, which may act, declare
     the key as its liveliness token, or read what is published.
 
-    `latched`: everyone may read the present value, through `reading(key)`, which no service takes for a request to act.
+    `latched`: who may read what is published may read the present value, through `reading(key)`, which no service takes for a
+    request to act.
     """
 
     publishes: Roles = ()
@@ -139,7 +140,7 @@ class BinaryTopic(Topic[M]):
 
 
 class Latched(Published[M]):
-    """A value of the role `of`, published on every change, and answered to everyone."""
+    """A value of the role `of`, published on every change, and answered to its `readers`."""
 
     kind = "latched"
 
@@ -150,12 +151,13 @@ class Latched(Published[M]):
         about: str,
         *,
         of: Role,
+        readers: Roles = EVERYONE,
         recorded: Recorded | None = None,
         subclasses: tuple[type[Message], ...] = (),
     ) -> Self:
         self = Key.__new__(cls, path, about)
         self.model, self.recorded, self.subclasses = model, recorded, subclasses
-        self.rights = Rights(publishes=(of,), answers=(of,), asks=EVERYONE, latched=True)
+        self.rights = Rights(publishes=(of,), answers=(of,), asks=readers, reads=readers, latched=True)
         return self
 
 

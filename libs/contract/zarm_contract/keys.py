@@ -56,6 +56,7 @@ from zarm_contract.messages import (
     OutputRequest,
     OutputState,
     PerceptionState,
+    PhysicsObjects,
     PhysicsState,
     Plan,
     Planners,
@@ -442,6 +443,13 @@ class Keys:
         "Replace the world of a simulation with physics.",
         to="driver",
         by=("operator",),
+    )
+    physics_objects = Latched(
+        "physics/objects",
+        PhysicsObjects,
+        "The objects of a simulation with physics, for displays.",
+        of="driver",
+        readers=("operator", "viewer"),
     )
     physics_state = Topic(
         "physics/state",

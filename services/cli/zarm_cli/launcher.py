@@ -35,7 +35,7 @@ SERVICES = ("planner", "servo", "executor")
 """The services that every robot needs, in start order; they stop in reverse, so that the robot comes to rest first."""
 METERED = ("planner", "executor", "ros_bridge", "leeloo_sim", "servo", "physics_sim", "perception")
 """Services whose metrics are served: the first at the address given to `up`, the others at the following ports."""
-_PLANNER_PACKAGES = ("fcl", "llvmlite", "numba", "toppra", "trimesh")
+_PLANNER_PACKAGES = ("fcl", "llvmlite", "numba", "trimesh")
 _ROS_PACKAGES = ("rclpy", "curobo_msgs")
 
 

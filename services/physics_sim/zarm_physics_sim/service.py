@@ -48,7 +48,7 @@ def start(service: Service) -> Iterator[None]:
         truth = Truth(bus.publisher(service.keys.physics_state).put)
         arm = PhysicalArm(simulation, settings, order, options.seed, truth.report)
         cameras = SimulatedCameras(arm, ImagePublishers(image_bus, service.keys))
-        surroundings = Surroundings(arm, cameras, world)
+        surroundings = Surroundings(arm, cameras, world, bus.latched(service.keys.physics_objects).set)
         with cameras:
             bus.watch(service.keys.cameras, cameras.receive)
             bus.watch(service.keys.scene, lambda _, scene: surroundings.see(scene))

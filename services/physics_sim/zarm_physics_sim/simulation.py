@@ -32,12 +32,13 @@ _FINGER_ARMATURE = 0.05
 
 @dataclass(frozen=True)
 class Contact:
-    """Two bodies that touch at `position` (3,), with this normal force (N)."""
+    """Two bodies that touch at `position` (3,), with this force (N) along the `normal` (3,) from the first to the second."""
 
     first: str
     second: str
     position: Array
     force: float
+    normal: Array
 
 
 @dataclass(frozen=True)
@@ -305,7 +306,11 @@ class Simulation:
             mujoco.mj_contactForce(self._model, self._data, k, force)
             if force[0] > 0.0:
                 yield Contact(
-                    self._name(contact.geom1), self._name(contact.geom2), np.array(contact.pos), float(force[0])
+                    self._name(contact.geom1),
+                    self._name(contact.geom2),
+                    np.array(contact.pos),
+                    float(force[0]),
+                    np.array(contact.frame[:3]),
                 )
 
     def poses(self) -> Mapping[str, tuple[Array, Array]]:

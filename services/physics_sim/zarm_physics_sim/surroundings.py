@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable
 
-from zarm_contract.messages import LoadWorld, Nothing, Scene
+from zarm_contract.messages import LoadWorld, Nothing, PhysicsObjects, Scene
 from zarm_physics_sim.arm import PhysicalArm
 from zarm_physics_sim.cameras import SimulatedCameras
 from zarm_physics_sim.world import World
@@ -14,11 +15,18 @@ log = logging.getLogger(__name__)
 
 
 class Surroundings:
-    """Puts an arm into a world, or if that is empty into the scene, which otherwise is what the planner believes."""
+    """Puts an arm into a world, or if that is empty into the scene, which otherwise is what the planner believes.
 
-    def __init__(self, arm: PhysicalArm, cameras: SimulatedCameras, world: World) -> None:
+    `publish` says what is there.
+    """
+
+    def __init__(
+        self, arm: PhysicalArm, cameras: SimulatedCameras, world: World, publish: Callable[[PhysicsObjects], object]
+    ) -> None:
         self._arm, self._cameras, self._world, self._scene = arm, cameras, world, Scene(revision="0-000000000000")
+        self._publish = publish
         self._lock = threading.Lock()
+        publish(PhysicsObjects(objects=tuple(world.objects.values())))
 
     def see(self, scene: Scene) -> None:
         """Take over a new scene."""
@@ -40,3 +48,4 @@ class Surroundings:
         if meshes := [item.name for item in world.objects.values() if item.kind == "mesh"]:
             log.warning("meshes are left out of the physics objects=%s", ",".join(meshes))
         self._arm.change_world(world, self._scene.attached, self._cameras.prepare)
+        self._publish(PhysicsObjects(objects=tuple(world.objects.values())))

@@ -39,7 +39,13 @@ class Truth:
                 for name, (position, orientation) in poses
             ),
             contacts=tuple(
-                Contact(first=one.first, second=one.second, position=tuple(one.position.tolist()), force=one.force)
+                Contact(
+                    first=one.first,
+                    second=one.second,
+                    position=tuple(one.position.tolist()),
+                    force=one.force,
+                    normal=tuple(one.normal.tolist()),
+                )
                 for one in contacts
             ),
         )

@@ -21,6 +21,8 @@ from zarm_contract.messages import (
     GripperState,
     JointState,
     Message,
+    PhysicsObjects,
+    PhysicsState,
     Plan,
     Planners,
     Scene,
@@ -59,6 +61,8 @@ class News:
     grippers: tuple[GripperState, ...] = ()
     cameras: Cameras | None = None
     images: Mapping[str, bytes] = field(default_factory=dict)
+    simulated: PhysicsObjects | None = None
+    physics: PhysicsState | None = None
 
 
 @dataclass
@@ -81,6 +85,7 @@ class Watching:
         bus, keys = self.robot.connection.bus, self.robot.connection.keys
         self._joints = bus.latest(keys.joint_states)
         self._preview = bus.latest(keys.preview_joint_states)
+        self._physics = bus.latest(keys.physics_state)
         self._taken: dict[str, float] = {}
         self._voxels = VoxelBlocks()
         self._shown: tuple[Mapping[str, Voxels], float] = self._voxels.objects, -math.inf
@@ -93,6 +98,7 @@ class Watching:
             "trajectory": keys.goal_trajectory,
             "strategies": keys.strategy,
             "cameras": keys.cameras,
+            "simulated": keys.physics_objects,
         }
         for name, key in watched.items():
             bus.watch(key, self._put(name))
@@ -124,6 +130,7 @@ class Watching:
             tracking_error=None if tracked is None else tracking_error(*tracked, joint_names),
             voxels=self._new_voxels(time.monotonic()),
             images=images,
+            physics=self._new_physics(),
             **newest,
         )
 
@@ -146,6 +153,13 @@ class Watching:
             return None
         state, self._taken[name] = received
         return in_order(state, joint_names)
+
+    def _new_physics(self) -> PhysicsState | None:
+        received = self._physics.received()
+        if received is None or received[1] == self._taken.get("physics"):
+            return None
+        state, self._taken["physics"] = received
+        return state
 
     def _put(self, name: str) -> Callable[[str, Message], None]:
         def put(_: str, message: Message) -> None:

@@ -17,7 +17,7 @@ from packaging.requirements import Requirement
 from support.harness import PATIENCE
 from support.paths import ROOT
 
-OF_THE_PLANNER = ("fcl", "numba", "toppra", "torch", "trimesh")
+OF_THE_PLANNER = ("fcl", "numba", "torch", "trimesh")
 
 
 def needed(requirements: list[str]) -> set[str]:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -51,26 +48,6 @@ def test_what_gives_way_keeps_what_is_guaranteed_and_the_deadline_itself_stays()
     assert long.at[0] == pytest.approx(before - 60.0 + GUARANTEED, abs=1e-3)
     assert (stop.at[0], short.at[0]) == (before, soon)
     assert cancelled.cancelled
-
-
-@pytest.mark.lengthy
-def test_it_passes_while_toppra_is_loaded_too() -> None:
-    """In a process of its own, which has not loaded it yet."""
-    program = """
-import sys
-from zarm_contract.errors import DeadlineExceeded
-from zarm_planner.deadline import Deadline
-from zarm_planner.timing.toppra_loading import await_toppra
-
-try:
-    await_toppra(Deadline(0.0))
-except DeadlineExceeded:
-    print("passed")
-await_toppra(Deadline(60.0))
-print("loaded" if hasattr(sys.modules["zarm_planner.timing.toppra_without_plots"], "TOPPRA") else "missing")
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120.0, check=True)
-    assert done.stdout.split() == ["passed", "loaded"]
 
 
 def test_what_is_asked_of_a_trajectory_that_is_found_looks_at_it() -> None:

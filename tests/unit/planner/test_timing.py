@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -159,15 +157,3 @@ def test_between_samples_a_motion_is_the_quintic_of_the_contract() -> None:
     h = np.diff(motion.time)
     for order, rows in enumerate(motion.sample(motion.time[:-1] + 0.3 * h)):
         assert np.allclose(rows, between(motion, order, np.array([0.3]))[:, 0], atol=1e-8)
-
-
-@pytest.mark.lengthy
-def test_a_planner_loads_toppra_only_when_it_times_with_it_and_never_what_that_plots_with() -> None:
-    program = """
-import sys, zarm_planner.service, zarm_planner.timing.time_parameterization as timing
-print('toppra' in sys.modules)
-timing.through(timing.np.eye(3))
-print('toppra' in sys.modules, 'matplotlib' in sys.modules)
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout == "False\nTrue False\n"

@@ -98,6 +98,7 @@ from zarm_contract.messages.physics import (
     DynamicObject,
     LoadWorld,
     MovingObjects,
+    PhysicsObjects,
     PhysicsState,
     Texture,
 )
@@ -304,6 +305,7 @@ __all__ = [
     "PathGoal",
     "PathPoint",
     "PerceptionState",
+    "PhysicsObjects",
     "PhysicsState",
     "Plan",
     "PlanRequest",

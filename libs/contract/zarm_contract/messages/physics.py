@@ -89,13 +89,20 @@ class BodyPose(ShortMessage):
 
 class Contact(ShortMessage):
     """Two links, objects or the `floor` that press on each other at `position` (m, base frame), with this `force` (N) along
-    the normal.
+    the `normal`, which points from the first to the second.
     """
 
     first: str
     second: str
     position: Vector3
     force: NonNegative
+    normal: Vector3 = (0.0, 0.0, 1.0)
+
+
+class PhysicsObjects(Message):
+    """The objects of a simulation, at the poses at which they were described: `PhysicsState` says where those are that move."""
+
+    objects: tuple[SceneObject, ...] = Field(default=(), max_length=MAX_BODIES)
 
 
 class PhysicsState(ShortMessage):

@@ -44,8 +44,8 @@ _AT_SPEED = 0.99
 
 
 def time_along(curve: ToolCurve, joints: JointCurve, limits: Limits, dt: float) -> TimedTrajectory | None:
-    """The motion along the curve of the joints, at rest at both ends and where the tool's curve rests; with PROGRESS more columns. None if TOPPRA fails
-    numerically.
+    """The motion along the curve of the joints, at rest at both ends and where the tool's curve rests; with PROGRESS more columns. None where
+    the limits allow no motion.
 
     Raises InvalidRequest if the limits make the motion longer than a message holds.
     """

@@ -1,9 +1,4 @@
-"""The pace of a motion: how fast it goes through its own time, so that what it needs stays within limits.
-
-Reachability analysis (Pham and Pham, "A New Approach to Time-Optimal Path Parameterization Based on Reachability
-Analysis", 2018) with the motion as the path: for its time s as a function of time, a quantity that is linear in position,
-velocity and acceleration is a factor times ds² and another times dds. TOPPRA's own solver takes a hundred times as long.
-"""
+"""The pace of a motion: how fast it goes through its own time, so that what it needs stays within limits."""
 
 from __future__ import annotations
 
@@ -14,60 +9,8 @@ import numpy as np
 from zarm_geometry.kernels.compiled import brief, inlined
 from zarm_planner.kernels.ramps import Array
 
-_HALVINGS = 16
-"""Bisections of the square of a pace, down to 1.5e-5."""
-_LEAST = 1e-4
-"""Least square of a pace: a hundredth of the motion's own."""
 _NONE = 1e-9
-"""A rate that counts as 0."""
-
-
-@inlined
-def _rates(square: float, needs: Array, i: int, low: float, high: float) -> tuple[float, float]:
-    """The smallest and the largest dds from `low` to `high` with which all needs of the grid point `i` are met at ds²
-    `square`.
-    """
-    for r in range(needs.shape[2]):
-        fixed, rate = needs[0, i, r] * square, needs[1, i, r]
-        below, above = needs[2, i, r] - fixed, needs[3, i, r] - fixed
-        if rate > _NONE:
-            low, high = max(low, below / rate), min(high, above / rate)
-        elif rate < -_NONE:
-            low, high = max(low, above / rate), min(high, below / rate)
-        elif below > 0.0 or above < 0.0:
-            return np.inf, -np.inf
-    return low, high
-
-
-@brief
-def fastest_pace(time: Array, needs: Array, most: Array) -> Array:
-    """The largest squares (n,) of the pace, at most `most` (n,), at the points of a grid `time` (n,) in s, between which they
-    are interpolated linearly.
-
-    `needs` (4, n, rows) has what each quantity needs per ds², per dds, and its bounds: one that is 0 or less, and one
-    that is 0 or more. Where nothing meets them, the pace is a hundredth.
-    """
-    count = time.shape[0]
-    square = most.copy()
-    for i in range(count - 2, -1, -1):  # from where the rest can be done
-        step = 2.0 * (time[i + 1] - time[i])
-        slow, fast = 0.0, most[i]
-        tried = fast
-        for _ in range(_HALVINGS):
-            low, high = _rates(tried, needs, i, -tried / step, (square[i + 1] - tried) / step)
-            if low <= high:
-                slow = tried
-                if tried == fast:
-                    break
-            else:
-                fast = tried
-            tried = 0.5 * (slow + fast)
-        square[i] = max(slow, _LEAST)
-    for i in range(count - 1):
-        step = 2.0 * (time[i + 1] - time[i])
-        _, high = _rates(square[i], needs, i, -np.inf, (square[i + 1] - square[i]) / step)
-        square[i + 1] = max(_LEAST, min(square[i + 1], square[i] + step * high))
-    return square
+"""What keeps a bound of 0 from dividing by 0."""
 
 
 @brief

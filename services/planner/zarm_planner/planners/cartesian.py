@@ -16,7 +16,6 @@ from zarm_planner.cartesian.timing import time_along
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.planners.base import Planner
-from zarm_planner.timing.toppra_loading import await_toppra, load_toppra
 from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
@@ -43,10 +42,8 @@ class CartesianPlanner(Planner):
         """The motion along the curve, with the columns of its progress; there is no other."""
         if (task := problem.tool_task) is None:
             raise InvalidRequest("there is no curve to follow; ask for a line, an arc or a path", field="goal")
-        load_toppra()
         curve, joints = self._followed(context, task, problem.start.asked)
         with context.timer.stage("timing"):
-            await_toppra(context.deadline)
             trajectory = time_along(curve, joints, context.limits, context.dt)
         if trajectory is not None:
             yield trajectory

@@ -1,4 +1,4 @@
-"""Motions that keep a path constraint: CBiRRT and shortcuts on its manifold, along a smooth curve timed by TOPPRA."""
+"""Motions that keep a path constraint: CBiRRT and shortcuts on its manifold, along a smooth curve timed by reachability analysis."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.planners.base import NAMES, Faster, Planner
 from zarm_planner.planners.route import Route, find_route
 from zarm_planner.timing.improvement import GAIN
-from zarm_planner.timing.toppra_loading import await_toppra, load_toppra
 from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
@@ -39,11 +38,9 @@ class ConstrainedPlanner(Planner):
     def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
         """The trajectory along the route; there is no other that keeps the constraint."""
         constraint = _constraint(problem)
-        load_toppra()
         if (route := _route(context, problem, constraint)) is None:
             return
         with context.timer.stage("timing"):
-            await_toppra(context.deadline)
             context.deadline.check()
             trajectory = _timed(context, constraint, route)
         if trajectory is not None:

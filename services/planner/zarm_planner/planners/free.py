@@ -21,7 +21,6 @@ from zarm_planner.timing.improvement import Improvement
 from zarm_planner.timing.lead_in import LeadIn
 from zarm_planner.timing.smoothing import brake_to_rest, smooth_path
 from zarm_planner.timing.time_parameterization import joined, time_path
-from zarm_planner.timing.toppra_loading import await_toppra
 from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
@@ -110,7 +109,6 @@ def _after_rest(context: PlanningContext, lead_in: LeadIn, timed: Timed) -> Time
 
 
 def _along(context: PlanningContext, route: Route, deviation: float) -> TimedTrajectory:
-    await_toppra(context.deadline)
     return time_path(route.path, context.limits, context.dt, deviation)
 
 

@@ -1,7 +1,8 @@
 """Slows a motion down only where it needs more torque than its joints have.
 
 The motion goes through its own time at a pace of at most 1, which is the fastest that torque and acceleration allow
-(`kernels.pace`), averaged over a short time, so that the jerk is bounded. Where the average exceeds a limit, which it does
+(`kernels.reachability`: for the time s of the motion as a function of time, a quantity that is linear in position, velocity
+and acceleration is a factor times ds² and another times dds), averaged over a short time, so that the jerk is bounded. Where the average exceeds a limit, which it does
 where the motion itself changes abruptly, less is allowed there, and again.
 """
 
@@ -10,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.pace import averaged_pace, fastest_pace, tightened, times_at_pace
+from zarm_planner.kernels.pace import averaged_pace, tightened, times_at_pace
+from zarm_planner.kernels.reachability import fastest_squares
 from zarm_planner.timing.sampling import sample_times
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -19,6 +21,8 @@ Array = NDArray[np.float64]
 
 _WINDOW = 8.0
 """The averaging time, in the times in which the joints reach their largest acceleration."""
+_LEAST = 1e-4
+"""Least square of a pace: a hundredth of the motion's own."""
 _ROUNDS = 4
 """How often less is allowed where a limit is exceeded."""
 _LITTLE = 1.002
@@ -47,7 +51,7 @@ def paced(motion: TimedTrajectory, grid: Array, states: Array, torque: Array, li
     for _ in range(_ROUNDS):
         bounded = torque.copy()
         bounded[2:] *= share[:, None]
-        square = fastest_pace(grid, np.concatenate((bounded, accelerating), axis=2), most)
+        square = fastest_squares(grid, np.concatenate((bounded, accelerating), axis=2), most, _LEAST)
         at = times_at_pace(grid, square)
         pace = averaged_pace(grid, square, at, window, at)
         if tightened(at, pace, torque, changes, rates, reach, share, most) <= _LITTLE:

@@ -1,12 +1,9 @@
 """From a path to a trajectory within the limits of velocity, acceleration and jerk.
 
-Corners of the path are rounded by quintic curves that leave it by at most a stated distance; TOPPRA (Pham and Pham, "A
-New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis", 2018) finds the fastest way along; a
-moving average over time turns its steps of acceleration into ramps (Biagiotti and Melchiorri, "FIR filters for online
-trajectory planning with time- and frequency-domain specifications", 2012). If a limit is still exceeded between two
-samples, the whole motion is slowed down.
-
-TOPPRA is imported only when used: that takes a second, and most planners never need it.
+Corners of the path are rounded by quintic curves that leave it by at most a stated distance; reachability analysis
+(`kernels.reachability`) finds the fastest way along; a moving average over time turns its steps of acceleration into ramps
+(Biagiotti and Melchiorri, "FIR filters for online trajectory planning with time- and frequency-domain specifications",
+2012). If a limit is still exceeded between two samples, the whole motion is slowed down.
 """
 
 from __future__ import annotations
@@ -16,13 +13,14 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache, partial
-from typing import Any
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from zarm_contract.errors import InvalidRequest
+from zarm_planner.kernels.reachability import fastest_squares
 from zarm_planner.timing.averaging import Averaging, total_ways
 from zarm_planner.timing.sampling import sample_times, within
 from zarm_trajectory.limits import Limits
@@ -34,7 +32,7 @@ _SAMPLING = 0.01
 _SHORTEST = 2.0
 """Least averaging time, in samples: a quintic between two samples cannot follow a step."""
 _STEP = 0.05
-"""Length of path (rad) between points at which TOPPRA decides on a velocity."""
+"""Length of path (rad) between points at which a velocity is chosen."""
 _STEPS = 8
 """Least number of these on each straight piece and on each rounded corner."""
 _STRETCHED = 1.005
@@ -117,18 +115,16 @@ def through(points: Array) -> TimedTrajectory:
 
     A cubic spline: its slope and its curvature are continuous.
     """
-    from zarm_planner.timing.toppra_without_plots import SplineInterpolator
-
     points = _distinct(points)
     length = np.insert(np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)), 0, 0.0)
-    spline = SplineInterpolator(length, points)
+    spline = CubicSpline(length, points)
     return TimedTrajectory(length, points, spline(length, 1), spline(length, 2))
 
 
 def time_curve(curve: TimedTrajectory, limits: Limits, dt: float) -> TimedTrajectory | None:
     """The fast motion from rest to rest along `curve`, whose time is a length (rad), sampled every `dt` s or less.
 
-    Limits are held within 0.1 %. None if TOPPRA fails numerically.
+    Limits are held within 0.1 %. None where they allow no motion.
 
     Raises InvalidRequest if the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """
@@ -195,20 +191,6 @@ def _straight(a: Array, b: Array, limits: Limits, dt: float, shortest: float) ->
     return Profile(curve, np.insert(np.cumsum(steps), 0, 0.0), sd, np.insert(t, 0, 0.0), used.window)
 
 
-class _ToppraPath:
-    """A curve in TOPPRA's interface, which asks for positions and two derivatives at the same points `s` (m,), one after the other."""
-
-    def __init__(self, curve: TimedTrajectory, s: Array) -> None:
-        self._curve, self._s = curve, s
-        self._states = curve.states if np.array_equal(s, curve.time) else curve.sample(s)
-        self.dof = curve.position.shape[1]
-        self.path_interval = curve.time[[0, -1]]
-
-    def __call__(self, s: Array, order: int = 0) -> Array:
-        states = self._states if np.array_equal(s, self._s) else self._curve.sample(s)
-        return np.asarray(states[order])
-
-
 def fastest_along(
     curve: TimedTrajectory,
     limits: Limits,
@@ -217,45 +199,35 @@ def fastest_along(
     least: int = 1,
     cap: Array | None = None,
 ) -> Profile | None:
-    """TOPPRA under the limits on velocity and acceleration, at points at most `step` (rad) apart, `least` on each piece
-    of the curve; None if it fails numerically. `cap` bounds the velocity along the curve at each of these points.
+    """The fastest from rest to rest under the limits on velocity and acceleration, at points at most `step` (rad) apart, `least` on each
+    piece of the curve; None where these allow no motion. `cap` bounds the velocity along the curve at each of these points.
     """
-    from zarm_planner.timing.toppra_without_plots import TOPPRA, CappedVelocityConstraint
-
     pieces = np.maximum(least, np.ceil(np.diff(curve.time) / step)).astype(int)
     s = np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), curve.time)
     used = Averaging.of(total_ways(curve.position), limits.rates, _SHORTEST * dt)
-    velocity = (
-        _velocity_constraint(tuple(used.velocity)) if cap is None else CappedVelocityConstraint(used.velocity, cap)
-    )
-    toppra = TOPPRA(
-        [velocity, _acceleration_constraint(tuple(used.acceleration))],
-        _ToppraPath(curve, s),
-        gridpoints=s,
-        solver_wrapper="seidel",
-    )
-    toppra.compute_parameterization(0.0, 0.0)
-    sd = toppra.problem_data.sd_vec
-    if sd is None or not np.all(np.isfinite(sd)) or np.any(sd[1:] + sd[:-1] <= 0.0):
+    _, slope, bend = curve.states if len(s) == len(curve.time) else curve.sample(s)
+    with np.errstate(divide="ignore"):
+        most = (used.velocity / np.abs(slope)).min(axis=1) ** 2
+    if cap is not None:
+        most = np.minimum(most, cap**2)
+    most[[0, -1]] = 0.0
+    sd = np.sqrt(fastest_squares(s, _accelerations(s, slope, bend, used.acceleration), most, 0.0))
+    if not np.all(np.isfinite(sd)) or np.any(sd[1:] + sd[:-1] <= 0.0):
         return None
     t = np.insert(np.cumsum(2 * np.diff(s) / (sd[1:] + sd[:-1])), 0, 0.0)
     return Profile(curve, s, sd, t, used.window)
 
 
-@lru_cache(maxsize=16)
-def _velocity_constraint(velocity: tuple[float, ...]) -> Any:
-    """The limits on velocity for TOPPRA, which needs 0.3 ms to make them."""
-    from zarm_planner.timing.toppra_without_plots import JointVelocityConstraint
-
-    return JointVelocityConstraint(velocity)
-
-
-@lru_cache(maxsize=16)
-def _acceleration_constraint(acceleration: tuple[float, ...]) -> Any:
-    """The limits on acceleration for TOPPRA, which needs 0.3 ms to make them."""
-    from zarm_planner.timing.toppra_without_plots import JointAccelerationConstraint
-
-    return JointAccelerationConstraint(acceleration)
+def _accelerations(s: Array, slope: Array, bend: Array, acceleration: Array) -> Array:
+    """What the joints' accelerations need, for `fastest_squares`, at lengths `s` (n,) and at the end of the interval that begins there."""
+    dof, step = slope.shape[1], 2.0 * np.diff(s)[:, None]
+    needs = np.empty((4, len(s), 2 * dof))
+    needs[0, :, :dof], needs[1, :, :dof] = bend, slope
+    needs[0, :-1, dof:], needs[1, :-1, dof:] = bend[1:], slope[1:] + step * bend[1:]
+    needs[:2, -1, dof:] = 0.0
+    needs[3] = np.tile(acceleration, 2)
+    needs[2] = -needs[3]
+    return needs
 
 
 def joined(trajectories: Sequence[TimedTrajectory]) -> TimedTrajectory:
