@@ -52,10 +52,11 @@ def test_agents_execute_and_change_what_is_planned_around_too(key: str) -> None:
 
 
 def test_who_moves_the_robot_cannot_read_the_truth_of_a_simulation() -> None:
-    for role in ("planner", "servo", "executor", "bridge"):
-        with pytest.raises(InvalidRequest, match="that is for the role operator or viewer"):
-            require(role, "reads", KEYS.physics_state)
-    require("viewer", "reads", KEYS.physics_state)
+    for key in (KEYS.physics_state, KEYS.physics_objects):
+        for role in ("planner", "servo", "executor", "bridge"):
+            with pytest.raises(InvalidRequest, match="that is for the role operator or viewer"):
+                require(role, "reads", key)
+        require("viewer", "reads", key)
 
 
 def test_the_servo_may_ask_for_plans_too_for_it_steers_around_what_is_in_the_way() -> None:

@@ -591,7 +591,7 @@ EXAMPLES: tuple[Message, ...] = (
     ),
     # physics
     m.BodyPose(name="cube", position=(0.5, 0.0, 0.02), orientation=(0.0, 0.0, 0.0, 1.0)),
-    m.Contact(first="panda_leftfinger", second="cube", position=(0.5, 0.02, 0.02), force=12.5),
+    m.Contact(first="panda_leftfinger", second="cube", position=(0.5, 0.02, 0.02), force=12.5, normal=(0.0, -1.0, 0.0)),
     _CAMERA,
     m.Cameras(cameras=(_CAMERA,)),
     m.CameraChange(add=_CAMERA),
@@ -637,7 +637,7 @@ EXAMPLES: tuple[Message, ...] = (
         effort=(12.0, -3.5),
         bodies=(m.BodyPose(name="cube", position=(0.5, 0.0, 0.02), orientation=(0.0, 0.0, 0.0, 1.0)),),
         contacts=(
-            m.Contact(first="floor", second="cube", position=(0.5, 0.0, 0.0), force=1.96, normal=(0.0, 0.0, 1.0)),
+            m.Contact(first="floor", second="cube", position=(0.5, 0.0, 0.0), force=1.96, normal=(1.0, 0.0, 0.0)),
         ),
     ),
     # every service

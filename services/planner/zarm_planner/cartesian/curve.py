@@ -104,7 +104,7 @@ def tool_curve(goal: CartesianGoal, start: Array, speeds: tuple[float, float, fl
     larger than their lines, and a path that doubles back.
     """
     used = _Speeds(goal.speed or speeds[0], goal.acceleration or speeds[1], goal.rotational_speed or speeds[2])
-    begin = Rotation.from_matrix(start[:3, :3])
+    begin = start[:3, :3]
     if isinstance(goal, LineGoal):
         return _line(goal, start[:3, 3], begin, used, field)
     if isinstance(goal, ArcGoal):
@@ -112,17 +112,14 @@ def tool_curve(goal: CartesianGoal, start: Array, speeds: tuple[float, float, fl
     return _path(goal, start[:3, 3], begin, used, field)
 
 
-def _oriented(goal: CartesianGoal, begin: Rotation, asked: Quaternion | None) -> Rotation:
-    """The orientation at a point, for `interpolated` and `fixed`."""
-    if asked is None or goal.orienting == "fixed":
-        return begin
-    return Rotation.from_matrix(rotation(asked))
+def _oriented(goal: CartesianGoal, begin: Array, asked: Quaternion | None) -> Array:
+    """The orientation (3, 3) at a point, for `interpolated` and `fixed`."""
+    return begin if asked is None or goal.orienting == "fixed" else rotation(asked)
 
 
-def _turn(goal: LineGoal | ArcGoal, begin: Rotation) -> Array:
-    """The rotation vector (3,) from the orientation at the start to that at the end."""
-    end = _oriented(goal, begin, goal.orientation)
-    return np.zeros(3) if end is begin else np.asarray((begin.inv() * end).as_rotvec())
+def _turn(begin: Array, end: Array) -> Array:
+    """The rotation vector (3,) from one orientation (3, 3) to another."""
+    return np.zeros(3) if end is begin else np.asarray(Rotation.from_matrix(begin.T @ end).as_rotvec())
 
 
 def _stations(extent: float, length: float, angle: float) -> Array:
@@ -130,40 +127,38 @@ def _stations(extent: float, length: float, angle: float) -> Array:
     return np.linspace(0.0, extent, count + 1)
 
 
-def _line(goal: LineGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str) -> ToolCurve:
+def _line(goal: LineGoal, a: Array, begin: Array, speeds: _Speeds, field: str) -> ToolCurve:
     b = np.array(goal.position)
-    turn = _turn(goal, begin)
-    if goal.orienting == "tangent":
-        turn = np.zeros(3)
+    turn = np.zeros(3) if goal.orienting == "tangent" else _turn(begin, _oriented(goal, begin, goal.orientation))
     length, angle = float(np.linalg.norm(b - a)), float(np.linalg.norm(turn))
     _has_extent(length, angle, field)
-    extent, oriented = speeds.extent(length, angle), begin.as_matrix()
+    extent = speeds.extent(length, angle)
 
     def at(u: Array) -> tuple[Array, Array]:
         share = (u / extent)[:, None]
-        return a + share * (b - a), oriented @ rotated_by(share * turn)
+        return a + share * (b - a), begin @ rotated_by(share * turn)
 
     return ToolCurve(at, (0.0, extent), _stations(extent, length, angle), *_values(speeds))
 
 
-def _arc(goal: ArcGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str) -> ToolCurve:
+def _arc(goal: ArcGoal, a: Array, begin: Array, speeds: _Speeds, field: str) -> ToolCurve:
     b = np.array(goal.position)
     center, normal, sweep = _around(goal, a, b, field)
     x = a - center
     y = np.cross(normal, x)
-    turn = _turn(goal, begin)
+    turn = _turn(begin, _oriented(goal, begin, goal.orientation))
     length, angle = sweep * float(np.linalg.norm(x)), float(np.linalg.norm(turn))
     if goal.orienting == "tangent":
         angle = sweep
-    extent, oriented = speeds.extent(length, angle), begin.as_matrix()
+    extent = speeds.extent(length, angle)
 
     def at(u: Array) -> tuple[Array, Array]:
         share = (u / extent)[:, None]
         phi = sweep * share
         position = center + np.cos(phi) * x + np.sin(phi) * y
         if goal.orienting == "tangent":
-            return position, rotated_by(phi * normal) @ oriented
-        return position, oriented @ rotated_by(share * turn)
+            return position, rotated_by(phi * normal) @ begin
+        return position, begin @ rotated_by(share * turn)
 
     return ToolCurve(at, (0.0, extent), _stations(extent, length, max(angle, sweep)), *_values(speeds))
 
@@ -240,7 +235,7 @@ def _angle(p: Array, q: Array, normal: Array) -> float:
     return math.atan2(float(np.cross(p, q) @ normal), float(p @ q)) % (2.0 * math.pi)
 
 
-def _path(goal: PathGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str) -> ToolCurve:
+def _path(goal: PathGoal, a: Array, begin: Array, speeds: _Speeds, field: str) -> ToolCurve:
     points, oriented, names, blends = [a], [begin], ["start"], [goal.blend]
     ways: list[PathPoint] = []
     for number, point in enumerate(goal.points):
@@ -252,8 +247,8 @@ def _path(goal: PathGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str
                 "a spline has no arcs; leave via and center out, or choose the shape polyline",
                 field=f"{field}.points.{number}",
             )
-        near = np.linalg.norm(there - points[-1]) < _SAME and (oriented[-1].inv() * turned).magnitude() < _SAME
-        near = near and not curved  # a circle ends where it starts
+        near = not curved and float(np.linalg.norm(there - points[-1])) < _SAME  # a circle ends where it starts
+        near = near and float(np.linalg.norm(_turn(oriented[-1], turned))) < _SAME
         if near and number == 0:  # a path that names its start
             continue
         if near:
@@ -265,30 +260,34 @@ def _path(goal: PathGoal, a: Array, begin: Rotation, speeds: _Speeds, field: str
         blends.append(goal.blend if point.blend is None else point.blend)
     if len(points) < 2:
         raise InvalidRequest("the path has no extent: it only names its start; add points", field=f"{field}.points")
+    orientations = Rotation.from_matrix(np.array(oriented))
     if goal.shape == "spline":
-        return _spline(goal, np.array(points), oriented, speeds)
+        return _spline(goal, np.array(points), orientations, speeds)
     corners = _Corners(np.array(points), blends, [f"{field}.{name}" for name in names], field)
-    return _polyline(goal, corners, _Ways.of(corners, ways), oriented, speeds)
+    return _polyline(goal, corners, _Ways.of(corners, ways), orientations, speeds)
 
 
-def _spline(goal: PathGoal, points: Array, oriented: Sequence[Rotation], speeds: _Speeds) -> ToolCurve:
-    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    angles = [(p.inv() * q).magnitude() for p, q in itertools.pairwise(oriented)]
-    steps = [speeds.extent(length, angle) for length, angle in zip(lengths.tolist(), angles, strict=True)]
+def _spline(goal: PathGoal, points: Array, oriented: Rotation, speeds: _Speeds) -> ToolCurve:
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1).tolist()
+    angles = (oriented[:-1].inv() * oriented[1:]).magnitude().tolist()
+    steps = [speeds.extent(length, angle) for length, angle in zip(lengths, angles, strict=True)]
     knots = np.insert(np.cumsum(steps), 0, 0.0)
     end = float(knots[-1])
     curve = CubicSpline(knots, points)
-    turned = RotationSpline(knots, Rotation.concatenate(oriented))
+    begin = oriented[0].as_matrix()
+    turned: RotationSpline | None = None
     if goal.orienting == "tangent":
         fine = np.linspace(0.0, end, _TRANSPORT + 1)
         turned = RotationSpline(fine, _transported(oriented[0], curve(fine, 1)))
+    elif any(angles):
+        turned = RotationSpline(knots, oriented)
 
     def at(u: Array) -> tuple[Array, Array]:
-        return curve(u), turned(u).as_matrix()
+        return curve(u), np.broadcast_to(begin, (len(u), 3, 3)) if turned is None else turned(u).as_matrix()
 
     counts = [
         max(4, math.ceil(length / _SPACING[0]), math.ceil(angle / _SPACING[1]))
-        for length, angle in zip(lengths.tolist(), angles, strict=True)
+        for length, angle in zip(lengths, angles, strict=True)
     ]
     return ToolCurve(at, (0.0, end), _divided(knots, counts), *_values(speeds))
 
@@ -366,15 +365,13 @@ class _Ways:
         return np.asarray(self.along + self.sweep[:, None] * (np.cos(angle) * self.y - np.sin(angle) * self.x))
 
 
-def _polyline(
-    goal: PathGoal, corners: _Corners, ways: _Ways, oriented: Sequence[Rotation], speeds: _Speeds
-) -> ToolCurve:
+def _polyline(goal: PathGoal, corners: _Corners, ways: _Ways, oriented: Rotation, speeds: _Speeds) -> ToolCurve:
     points, lengths = corners.points, ways.lengths
     if goal.orienting == "tangent":
         from_turns, vectors = _along_ways(corners, ways, oriented[0])
     else:
-        from_turns = Rotation.concatenate(oriented[:-1])
-        vectors = (from_turns.inv() * Rotation.concatenate(oriented[1:])).as_rotvec()
+        from_turns = oriented[:-1]
+        vectors = (from_turns.inv() * oriented[1:]).as_rotvec()
     angles = np.linalg.norm(vectors, axis=1)
     steps = np.array([speeds.extent(length, angle) for length, angle in zip(lengths, angles, strict=True)])
     knots = np.insert(np.cumsum(steps), 0, 0.0)
@@ -504,8 +501,8 @@ def _rounding(corners: _Corners, ways: _Ways, steps: Array) -> Array:
 
 def _divided(edges: Array, counts: Sequence[int]) -> Array:
     """Stations at the edges (n + 1,), with each of the n intervals between them divided into so many."""
-    parts = [np.linspace(a, b, count + 1)[1:] for a, b, count in zip(edges[:-1], edges[1:], counts, strict=True)]
-    return np.concatenate((edges[:1], *parts))
+    number = np.insert(np.cumsum(counts), 0, 0)
+    return np.interp(np.arange(number[-1] + 1), number, edges)
 
 
 def _values(speeds: _Speeds) -> tuple[float, float, float]:
