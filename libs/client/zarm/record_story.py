@@ -82,7 +82,7 @@ def summarize(entries: Iterable[tuple[int, str, bytes]]) -> Story:
         )
     story = Story(robot_of(first[1]), first[0])
     keys, teller = Keys(story.robot), _Teller()
-    recorded = Recorded(keys)
+    recorded = Recorded(keys, scene=True)
     for stamp, key, payload in itertools.chain((first,), entries):
         story.lasted = (stamp - story.began) / 1e9
         model = recorded.model(key)

@@ -32,10 +32,11 @@ _FLUSH_SECONDS = 1.0
 class Recorder:
     """Records the robot's messages to an MCAP file, `path`, until `close`; `Robot.record` makes it.
 
-    Until then the file is `<path>.part`. Use it in `with`. Thread-safe. With `images`, depth images are in it too.
+    Until then the file is `<path>.part`. Use it in `with`. Thread-safe. With `scene`, the scene, the voxel map and a simulation are in it
+    too, and with `images` depth images.
     """
 
-    def __init__(self, connection: Connection, path: Path, *, images: bool = False) -> None:
+    def __init__(self, connection: Connection, path: Path, *, scene: bool = False, images: bool = False) -> None:
         if path.exists():
             raise InvalidRequest(f"{path} already exists; name another file, or remove it", field="file")
         self.path = path
@@ -53,8 +54,9 @@ class Recorder:
         self._thread.start()
         self._listening: list[Callable[[], None]] = []
         try:
-            for key in Recorded(connection.keys).keys.values():
-                listen = connection.bus.follow if key.recorded == "value and changes" else connection.bus.listen
+            for key in Recorded(connection.keys, scene=scene).keys.values():
+                before = key.recorded == "value and changes" or (key.recorded != "changes" and key.rights.latched)
+                listen = connection.bus.follow if before else connection.bus.listen
                 self._listening.append(listen(key, self._put))
             if images:
                 self._listening.append(connection.bus.listen(connection.keys.depth("*"), self._put_image))

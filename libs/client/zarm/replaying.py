@@ -64,7 +64,7 @@ def _publish(bus: Bus, keys: Keys, entries: Iterator[Entry], speed: float, inter
     if (first := next(entries, None)) is None:
         return 0
     began, source = first[0], Keys(robot_of(first[1]))
-    recorded, moving = Recorded(source), (source.driver_command, source.stream)
+    recorded, moving = Recorded(source, scene=True), (source.driver_command, source.stream)
     place = _Place(bus, keys, interrupts)
     start = time.monotonic()
     publishers: dict[str, Publisher[Any]] = {}

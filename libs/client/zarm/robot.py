@@ -115,7 +115,7 @@ class Robot(Calls):
         """The health of a service: `planner`, `executor`, ..."""
         return self._ask(self._keys.health(service), Nothing(), timeout=timeout)
 
-    def record(self, file: str | Path, *, images: bool = False) -> Recorder:
+    def record(self, file: str | Path, *, scene: bool = False, images: bool = False) -> Recorder:
         """Write what happens to the robot to an MCAP file, which Foxglove and `zarm replay` open, as long as the block lasts.
 
         ```python
@@ -123,9 +123,10 @@ class Robot(Calls):
             robot.execute(plan)
         ```
 
-        With `images`, depth images are in it too, for Foxglove; a replay does not publish them. Raises InvalidRequest for a file that is there already, and
+        With `scene`, the scene, the voxel map and a simulation are in it too, and the page shows them. With `images`, depth images are in it,
+        for Foxglove; a replay does not publish them. Raises InvalidRequest for a file that is there already, and
         Unavailable where it cannot be written.
         """
         from zarm.recording import Recorder
 
-        return Recorder(self.connection, Path(file), images=images)
+        return Recorder(self.connection, Path(file), scene=scene, images=images)

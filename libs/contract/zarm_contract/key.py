@@ -15,8 +15,8 @@ Request = TypeVar("Request", bound=Message)
 Reply = TypeVar("Reply", bound=Message)
 K = TypeVar("K", bound="Key")
 
-Recorded = Literal["changes", "value and changes"]
-"""What a record holds of a key: what is published after it began, or also the value from before."""
+Recorded = Literal["changes", "value and changes", "with the scene"]
+"""What a record holds of a key: what is published after it began, or also the value from before; of some only where the scene is recorded too."""
 
 _NAME = re.compile(r"<\w+>")
 

@@ -158,7 +158,7 @@ class Keys:
     plans = Latched("planner/plans", Plan, "Every successful plan.", of="planner", recorded="value and changes")
 
     # scene, owned by the planner service
-    scene = Latched("scene", Scene, "The whole scene.", of="planner")
+    scene = Latched("scene", Scene, "The whole scene.", of="planner", recorded="with the scene")
     scene_object = Family(
         Latched(
             "scene/object/<name>",
@@ -450,6 +450,7 @@ class Keys:
         "The objects of a simulation with physics, for displays.",
         of="driver",
         readers=("operator", "viewer"),
+        recorded="with the scene",
     )
     physics_state = Topic(
         "physics/state",
@@ -458,6 +459,7 @@ class Keys:
         by=("driver",),
         readers=("operator", "viewer"),
         droppable=True,
+        recorded="with the scene",
     )
 
     # perception
@@ -502,6 +504,7 @@ class Keys:
             VoxelBlock,
             "The voxel map in blocks, of which those are published that have changed.",
             of="perception",
+            recorded="with the scene",
         )
     )
     perception_state = Latched(

@@ -50,7 +50,7 @@ class RecordFile:
         self.path = path
         self.draft = path.with_name(path.name + DRAFT)
         self.count = 0
-        self._recorded = Recorded(keys)
+        self._recorded = Recorded(keys, scene=True)
         self._schemas: dict[type[Message], int] = {}
         self._channels: dict[str, int] = {}
         self._image_schema = 0
@@ -134,8 +134,8 @@ def plain_schema(model: type[Message]) -> dict[str, Any]:
     """The JSON schema of a message class in the few keywords that Foxglove knows.
 
     Its reader (parseJsonSchema in foxglove/studio, packages/mcap-support) refuses a channel for a `$ref`, an `anyOf`,
-    an array without `items`, or an array of arrays. So references are expanded, `X | None` becomes X, and a tuple an
-    array; rows of numbers are not described, although they are in the messages.
+    an array without `items`, or an array of arrays. So references are expanded, `X | None` becomes X, a tuple an array, and one of several
+    objects an object with the fields of all; rows of numbers are not described, although they are in the messages.
     """
     whole = model.model_json_schema()
     return _plain(whole, whole.get("$defs", {}))
@@ -146,6 +146,11 @@ def _plain(node: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
         node = definitions[node["$ref"].rsplit("/", 1)[1]]
     if "anyOf" in node:
         return _plain(next(option for option in node["anyOf"] if option.get("type") != "null"), definitions)
+    if "oneOf" in node:
+        options = [_plain(option, definitions) for option in node["oneOf"]]
+        fields = {name: field for option in options for name, field in option["properties"].items()}
+        always = [name for name in fields if all(name in option["required"] for option in options)]
+        return {"type": "object", "properties": fields, "required": always}
     plain: dict[str, Any] = {name: node[name] for name in ("type", "title", "description", "enum") if name in node}
     if node["type"] == "array":
         plain["items"] = _plain(node["items"] if "items" in node else node["prefixItems"][0], definitions)

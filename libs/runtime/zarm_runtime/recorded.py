@@ -10,14 +10,17 @@ from zarm_contract.messages import Message
 
 
 class Recorded:
-    """The recorded keys of one robot.
+    """The recorded keys of one robot, unless told otherwise without those that are recorded with the scene alone.
 
     `keys` are they by key expression (goals are the family `executor/goal/*`, and grippers another one).
     """
 
-    def __init__(self, keys: Keys) -> None:
+    def __init__(self, keys: Keys, *, scene: bool = False) -> None:
+        without = {None} if scene else {None, "with the scene"}
         recorded = [
-            key.of_robot(keys.robot) for key in every_key() if isinstance(key, Published) and key.recorded is not None
+            key.of_robot(keys.robot)
+            for key in every_key()
+            if isinstance(key, Published) and key.recorded not in without
         ]
         self.keys: dict[str, Published[Any]] = {key: key for key in recorded}
         self._families = [(key, key.partition("*")) for key in recorded if "*" in key]

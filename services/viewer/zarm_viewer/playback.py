@@ -14,7 +14,8 @@ from zarm.record_story import Story, summarize
 from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
-from zarm_contract.messages import GoalState, GripperState, JointState, Message
+from zarm_contract.messages import GoalState, GripperState, JointState, Message, PerceptionState, VoxelBlock
+from zarm_geometry.voxel_blocks import VoxelBlocks
 from zarm_runtime.record import read_record
 from zarm_runtime.recorded import Recorded
 from zarm_viewer.kinematics import Array
@@ -36,7 +37,7 @@ class Playback:
         self.story: Story = summarize(entries)
         self.speed = 1.0
         self._keys = Keys(self.story.robot)
-        self._recorded = Recorded(self._keys)
+        self._recorded = Recorded(self._keys, scene=True)
         self._times: dict[str, list[float]] = defaultdict(list)
         self._payloads: dict[str, list[bytes]] = defaultdict(list)
         for stamp, key, payload in entries:
@@ -45,6 +46,8 @@ class Playback:
         self._at, self._since = 0.0, time.monotonic()
         self._playing = True
         self._reported: dict[str, int] = {}
+        self._voxels = VoxelBlocks()
+        self._shown = self._voxels.objects
 
     @property
     def at(self) -> float:
@@ -75,6 +78,7 @@ class Playback:
         """Go to another moment (s)."""
         if at < self.at:
             self._reported.clear()
+            self._voxels = VoxelBlocks()
         self._at, self._since = at, time.monotonic()
 
     def take(self, joint_names: tuple[str, ...]) -> News:
@@ -92,6 +96,13 @@ class Playback:
         goals = tuple(message for _, _, message in found if isinstance(message, GoalState))
         tracked = next(((at, message) for at, _, message in reversed(found) if isinstance(message, GoalState)), None)
         newest: dict[str, Any] = {key: message for _, key, message in found}
+        for _, key, message in found:
+            if isinstance(message, VoxelBlock):
+                self._voxels.receive(key, message)
+            elif isinstance(message, PerceptionState):
+                self._voxels.on_state(key, message)
+        voxels = None if self._voxels.objects is self._shown else self._voxels.objects
+        self._shown = self._voxels.objects
         measured = newest.get(self._keys.joint_states)
         joints = in_order(measured, joint_names) if isinstance(measured, JointState) else None
         return News(
@@ -103,6 +114,10 @@ class Playback:
             strategies=newest.get(self._keys.strategy),
             servo=newest.get(self._keys.servo_state),
             plan=newest.get(self._keys.plans),
+            scene=newest.get(self._keys.scene),
+            voxels=voxels,
+            simulated=newest.get(self._keys.physics_objects),
+            physics=newest.get(self._keys.physics_state),
             goals=goals,
             grippers=tuple(message for _, _, message in found if isinstance(message, GripperState)),
             tracking_error=None if tracked is None else self._tracking_error(*tracked, joint_names),

@@ -6,7 +6,7 @@ import json
 import os
 import resource
 import signal
-from base64 import b64decode
+from base64 import b64decode, b64encode
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -17,14 +17,15 @@ from support.command_line import Command, the_one_line, zarm
 from support.executor.client import Client
 from support.harness import ServiceProcess, eventually, free_endpoint
 from support.tiers import sampled
-from support.trajectories import KEYS, moved, rest_to_rest
+from support.trajectories import KEYS, ROBOT, moved, rest_to_rest
 from zarm_contract.codec import encode
 from zarm_contract.image import encode_image
 from zarm_contract.keys import Keys
-from zarm_contract.messages import ImageHeader, Speed
+from zarm_contract.messages import BodyPose, Cuboid, ImageHeader, PhysicsObjects, PhysicsState, Scene, Speed, VoxelBlock
 from zarm_runtime.bus import Bus
 from zarm_runtime.record import RecordFile, read_record
 from zarm_runtime.session import open_router
+from zarm_viewer.playback import Playback
 
 OTHER = Keys("replayed")
 
@@ -95,6 +96,57 @@ def test_depth_images_are_on_record_if_they_are_asked_for(client: Client, endpoi
     story = zarm("replay", str(file))
     assert story.returncode == 0, story.stderr
     assert goal_id in story.stdout
+
+
+def test_scene_map_and_simulation_are_on_record_if_they_are_asked_for_and_play(
+    client: Client, endpoint: str, tmp_path: Path
+) -> None:
+    with_scene, without = tmp_path / "with.mcap", tmp_path / "without.mcap"
+    box = Cuboid(kind="cuboid", name="box", size=(0.1, 0.1, 0.1), position=(0.5, 0.0, 0.05))
+    block = VoxelBlock(position=(0.0, 0.0, 0.0), resolution=0.02, cells=b64encode(b"\x01" + bytes(511)).decode())
+    body = BodyPose(name="box", position=(0.5, 0.0, 0.3), orientation=(0.0, 0.0, 0.0, 1.0))
+    with ExitStack() as stack:
+        bus = stack.enter_context(Bus(endpoint))
+        bus.latched(KEYS.scene).set(Scene(revision="1-0123456789ab", objects=(box,)))  # as it was before
+        commands = [
+            stack.enter_context(recording(endpoint, tmp_path, str(with_scene), "--scene")),
+            stack.enter_context(recording(endpoint, tmp_path, str(without))),
+        ]
+        for command in commands:
+            begun(command)
+        bus.latched(KEYS.voxels("0.0.0")).set(block)
+        bus.latched(KEYS.physics_objects).set(PhysicsObjects(objects=(box,)))
+        bus.publisher(KEYS.physics_state).put(
+            PhysicsState(
+                stamp=1.0,
+                time=1.0,
+                real_time_factor=1.0,
+                position=(0.0,),
+                velocity=(0.0,),
+                effort=(0.0,),
+                bodies=(body,),
+            )
+        )
+        goal_id = client.execute(rest_to_rest(moved(0.1)))
+        assert client.ended(goal_id).status == "succeeded"
+        for command in commands:
+            command.interrupt()
+            assert command.end() == 0
+    played = Playback(with_scene)
+    played.pause()
+    played.seek(played.story.lasted)
+    news = played.take(ROBOT.descriptor.joints)
+    assert news.scene is not None
+    assert news.scene.objects == (box,)
+    assert news.voxels is not None
+    assert [len(one.cells) for one in news.voxels.values()] == [1]
+    assert news.simulated == PhysicsObjects(objects=(box,))
+    assert news.physics is not None
+    assert news.physics.bodies == (body,)
+    played.seek(0.0)
+    assert played.take(ROBOT.descriptor.joints).voxels == {}, "before the map came there was none"
+    assert not {KEYS.scene, KEYS.physics_state} & {key for _, key, _ in read_record(without)}
+    assert zarm("replay", str(with_scene)).returncode == 0
 
 
 def test_a_record_ends_after_the_seconds_that_were_asked_for(client: Client, endpoint: str, tmp_path: Path) -> None:
