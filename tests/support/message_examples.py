@@ -345,6 +345,8 @@ EXAMPLES: tuple[Message, ...] = (
     m.IkSolutions(solutions=(((0.1, 0.2), (0.3, 0.4)), ())),
     m.FkRequest(joints=((0.1, 0.2), (0.3, 0.4)), device="kernels", group="left", tip=_TIP_FRAME),
     m.FkPoses(poses=(_POSE,)),
+    m.InverseDynamicsRequest(joints=((0.1, 0.2),), velocity=((0.5, 0.0),), acceleration=((1.0, -2.0),)),
+    m.InverseDynamics(torque=((12.0, -3.5),), effort=(87.0, None)),
     m.CheckRequest(joints=((0.1, 0.2),), spheres=True, points=True, torque=True),
     m.HoldingTorque(torque=-12.5, effort=87.0),
     _CHECKED,

@@ -330,6 +330,7 @@ class Robot(_Twin[zarm.robot.Robot]):
     fk = _awaited(zarm.robot.Robot.fk)
     ik = _awaited(zarm.robot.Robot.ik)
     request_ik = _awaited(zarm.robot.Robot.request_ik)
+    inverse_dynamics = _awaited(zarm.robot.Robot.inverse_dynamics)
     check = _awaited(zarm.robot.Robot.check)
     start = _awaited(zarm.robot.Robot.start)
     cancel = _awaited(zarm.robot.Robot.cancel)

@@ -14,6 +14,8 @@ from zarm_contract.messages import (
     FkRequest,
     IkRequest,
     IkSolutions,
+    InverseDynamics,
+    InverseDynamicsRequest,
     PoseGoal,
     TipFrame,
 )
@@ -75,6 +77,27 @@ class Kinematics(Calls):
     def request_ik(self, request: IkRequest, *, timeout: float = BATCH_SECONDS) -> IkSolutions:
         """Inverse kinematics of up to 1000 poses, with a message."""
         return self._ask(self._keys.ik, request, timeout=timeout)
+
+    def inverse_dynamics(
+        self,
+        joints: Rows,
+        *,
+        velocity: Rows | None = None,
+        acceleration: Rows | None = None,
+        timeout: float = ANSWER_SECONDS,
+    ) -> InverseDynamics:
+        """The torque (Nm, N if prismatic) of each joint in states of motion, up to 1000 rows of joint positions (rad), velocities (rad/s) and
+        accelerations (rad/s²), with what the robot carries; without these it stands still.
+
+        The reply has none if the URDF does not state the inertia of each link.
+        """
+        request = made(
+            InverseDynamicsRequest,
+            joints=rows(joints, "joints"),
+            velocity=None if velocity is None else rows(velocity, "velocity"),
+            acceleration=None if acceleration is None else rows(acceleration, "acceleration"),
+        )
+        return self._ask(self._keys.inverse_dynamics, request, timeout=timeout)
 
     def check(
         self,

@@ -85,6 +85,7 @@ class Robot(Calls):
     fk = _short(_planner, Planner.fk)
     ik = _short(_planner, Planner.ik)
     request_ik = _short(_planner, Planner.request_ik)
+    inverse_dynamics = _short(_planner, Planner.inverse_dynamics)
     check = _short(_planner, Planner.check)
     execute = _short(_executor, Executor.execute)
     start = _short(_executor, Executor.start)

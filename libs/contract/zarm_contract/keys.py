@@ -45,6 +45,8 @@ from zarm_contract.messages import (
     IkRequest,
     IkSolutions,
     ImageHeader,
+    InverseDynamics,
+    InverseDynamicsRequest,
     JointState,
     LoadedMap,
     LoadWorld,
@@ -129,6 +131,14 @@ class Keys:
         "Forward kinematics of up to 1000 joint vectors.",
         to="planner",
         by=EVERYONE,  # for the tip's pose
+    )
+    inverse_dynamics = Query(
+        "planner/inverse_dynamics",
+        InverseDynamicsRequest,
+        InverseDynamics,
+        "The torques of up to 1000 states of motion, with what the robot carries.",
+        to="planner",
+        by=EVERYONE,  # for plots
     )
     check = Query(
         "planner/check",

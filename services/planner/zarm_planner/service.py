@@ -151,6 +151,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         bus.latched(keys.planners).set(handlers.planners())
         bus.serve(keys.plan_cancel, handlers.cancel)
         bus.serve(keys.fk, when_warm(handlers.fk))
+        bus.serve(keys.inverse_dynamics, when_warm(handlers.inverse_dynamics))
         compute(keys.plan, plan)
         compute(keys.program, program)
         bus.watch(keys.goal("*"), program_changes.receive)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -9,6 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from viser import GuiUplotHandle, uplot
 
+from zarm.robot import Robot
+from zarm_contract.errors import ZarmError
 from zarm_contract.messages import Plan
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.kinematics import Array, Chain
@@ -19,9 +22,10 @@ QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 SECONDS, RATE = 10.0, 10.0
 """Length (s) of the live plots, and their sample rate (Hz)."""
 LIVE = (*QUANTITIES, "tracking error (mrad)")
+TORQUE = "torque"
 TOOL_SPEED = "tool speed (m/s)"
 TICKS = "tick lateness (ms)"
-TOOL_SAMPLES = 300
+TOOL_SAMPLES = TORQUE_SAMPLES = 300
 _COLOURS = ("#e03131", "#2f9e44", "#1971c2", "#f08c00", "#9c36b5", "#0c8599", "#495057")
 
 
@@ -64,12 +68,14 @@ class PlotsPanel:
         self._ticks: deque[tuple[float, float]] = deque(maxlen=int(SECONDS * RATE))
         self._measured = Measured(len(lower))
         gui = panels.server.gui
-        self._choice = gui.add_dropdown("of the plan", (*QUANTITIES, TOOL_SPEED), initial_value="velocity")
+        of_plan = (*QUANTITIES, TORQUE, TOOL_SPEED) if panels.client is not None else (*QUANTITIES, TOOL_SPEED)
+        self._choice = gui.add_dropdown("of the plan", of_plan, initial_value="velocity")
         self._choice.on_update(lambda _: self._draw_plan())
         joint_names = panels.description.descriptor.joints
         self._of_plan = self._plot("share of the limit (%)", joint_names)
         self._of_tool = self._plot(TOOL_SPEED, ("tip",))
         self._of_tool.visible = False
+        self._unknown = gui.add_markdown("", visible=False)
         self._live = gui.add_dropdown("live", ("off", *LIVE, TICKS), initial_value="off")
         self._of_now = self._plot("live", joint_names)
         self._of_ticks = self._plot(TICKS, ("latest tick of the control loop",))
@@ -126,6 +132,10 @@ class PlotsPanel:
         timed = TimedTrajectory.of(self._plan.trajectory, self._panels.description.descriptor.joints)
         of_tool = self._choice.value == TOOL_SPEED
         self._of_plan.visible, self._of_tool.visible = not of_tool, of_tool
+        self._unknown.visible = False
+        if self._choice.value == TORQUE:
+            threading.Thread(target=self._draw_torque, args=(self._plan, timed), name="torque", daemon=True).start()
+            return
         if of_tool:
             self._of_tool.data = tool_speed(timed, self._panels.chain)
             return
@@ -133,6 +143,31 @@ class PlotsPanel:
         rows = (position - self._middle, *rates)
         chosen = QUANTITIES.index(self._choice.value)
         self._of_plan.data = (times, *(100 * rows[chosen] / self._limits[chosen]).T)
+
+    def _draw_torque(self, plan: Plan, timed: TimedTrajectory) -> None:
+        """Ask the planner, and show what it answers if that is still wanted."""
+        try:
+            found = torque_shares(self._panels.robot, timed)
+            said = "the URDF does not state the inertia of each link, and efforts" if found is None else ""
+        except ZarmError as error:
+            found, said = None, str(error)
+        if plan is not self._plan or self._choice.value != TORQUE:
+            return
+        self._of_plan.visible, self._unknown.visible = found is not None, found is None
+        if found is not None:
+            self._of_plan.data = found
+        self._unknown.content = f"torque unknown: {said}"
+
+
+def torque_shares(robot: Robot, timed: TimedTrajectory) -> tuple[Array, ...] | None:
+    """Times (K,) in s, and for each joint the torque (K,) there in % of its effort, 0 if that is unknown; None if all are. Raises the planner's error."""
+    times = np.linspace(0.0, timed.duration, TORQUE_SAMPLES)
+    position, velocity, acceleration = timed.sample(times).tolist()
+    found = robot.inverse_dynamics(position, velocity=velocity, acceleration=acceleration)
+    if found.torque is None or found.effort is None or not any(found.effort):
+        return None
+    efforts = [np.inf if effort is None else effort for effort in found.effort]
+    return times, *(100.0 * np.array(found.torque) / efforts).T
 
 
 def tool_speed(timed: TimedTrajectory, chain: Chain) -> tuple[Array, Array]:

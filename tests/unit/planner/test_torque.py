@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from zarm_contract.errors import PlanningFailed
+from zarm_contract.errors import InvalidRequest, PlanningFailed
 from zarm_contract.messages import (
     AddObjects,
     Attach,
     AttachObject,
     CheckRequest,
     Cuboid,
+    InverseDynamicsRequest,
     JointGoal,
     LineGoal,
     Move,
@@ -71,8 +72,8 @@ def to_there(handlers: Handlers, **options: object) -> Plan:
     return handlers.plan(PlanRequest(goal=JointGoal(kind="joints", position=THERE), optimize_s=0.0, **options))
 
 
-def worst(plan: Plan, mass: float) -> float:
-    """The largest share of an effort that MuJoCo's inverse dynamics gives, every millisecond."""
+def inverse(mass: float, states: Array) -> Array:
+    """The torques (n, 7) of states (3, n, 7) of the Panda with a `mass` (kg) at its flange, by MuJoCo's inverse dynamics."""
     spec = mujoco.MjSpec()
     spec.compiler.degree, spec.compiler.autolimits = False, False
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
@@ -83,15 +84,20 @@ def worst(plan: Plan, mass: float) -> float:
     model = spec.compile()
     data = mujoco.MjData(model)
     data.qpos[7:9] = 0.04
+    torques = []
+    for q, v, a in states.transpose(1, 0, 2):
+        data.qpos[:7], data.qvel[:7], data.qacc[:7] = q, v, a
+        mujoco.mj_inverse(model, data)
+        torques.append(data.qfrc_inverse[:7].copy())
+    return np.array(torques)
+
+
+def worst(plan: Plan, mass: float) -> float:
+    """The largest share of an effort that MuJoCo's inverse dynamics gives, every millisecond."""
     trajectory = TimedTrajectory.of(plan.trajectory, PANDA.descriptor.joints)
     efforts = {joint.name: joint.effort for joint in PANDA.urdf.joint_of_child.values()}
     limit = np.array([efforts[name] for name in PANDA.descriptor.joints], float)
-    share = 0.0
-    for q, v, a in trajectory.sample(np.arange(0.0, trajectory.duration, 0.001)).transpose(1, 0, 2):
-        data.qpos[:7], data.qvel[:7], data.qacc[:7] = q, v, a
-        mujoco.mj_inverse(model, data)
-        share = max(share, float((np.abs(data.qfrc_inverse[:7]) / limit).max()))
-    return share
+    return float((np.abs(inverse(mass, trajectory.sample(np.arange(0.0, trajectory.duration, 0.001)))) / limit).max())
 
 
 def test_a_light_robot_moves_as_fast_as_ever_and_says_what_it_needs(tmp_path: Path) -> None:
@@ -252,3 +258,28 @@ def test_a_robot_of_unknown_inertia_says_nothing_of_torques(tmp_path: Path) -> N
     goal = JointGoal(kind="joints", position=(0.5, 0.2, 1.2, 0.0, 1.2, 0.0))
     plan = planner(tmp_path, m1013).plan(PlanRequest(goal=goal, optimize_s=0.0))
     assert plan.torque is None
+
+
+def test_the_torques_of_a_motion_are_those_of_mujoco(tmp_path: Path) -> None:
+    states = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 50, 7))
+    states[0] += HOME
+    states[2] *= 5.0
+    joints, velocity, acceleration = (tuple(map(tuple, rows.tolist())) for rows in states)
+    request = InverseDynamicsRequest(joints=joints, velocity=velocity, acceleration=acceleration)
+    reply = with_load(tmp_path, 3.0).inverse_dynamics(request)
+    assert reply.torque is not None
+    np.testing.assert_allclose(reply.torque, inverse(3.0, states), atol=0.02)
+    assert reply.effort == (87.0,) * 4 + (12.0,) * 3
+    still = planner(tmp_path / "light").inverse_dynamics(InverseDynamicsRequest(joints=joints))
+    np.testing.assert_allclose(
+        still.torque or (), inverse(1e-9, np.stack((states[0], 0.0 * states[1], 0.0 * states[2]))), atol=0.02
+    )
+
+
+def test_torques_that_nobody_knows_are_left_out_and_faulty_rows_refused(tmp_path: Path) -> None:
+    m1013 = RobotModel.of(load_robot("doosan_m1013"))
+    assert planner(tmp_path, m1013).inverse_dynamics(InverseDynamicsRequest(joints=((0.0,) * 6,))).torque is None
+    with pytest.raises(InvalidRequest, match="6 values for the 7 joints"):
+        planner(tmp_path / "panda").inverse_dynamics(InverseDynamicsRequest(joints=((0.0,) * 7, (0.0,) * 6)))
+    with pytest.raises(ValueError, match="velocity"):
+        InverseDynamicsRequest(joints=((0.0,) * 7,), velocity=((0.0,) * 7, (0.0,) * 7))

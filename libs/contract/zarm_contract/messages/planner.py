@@ -277,6 +277,30 @@ class CheckRequest(Message):
     torque: bool = False
 
 
+class InverseDynamicsRequest(Message):
+    """The torques of motions: `joints` (rad) with `velocity` (rad/s) and `acceleration` (rad/s²), row by row; without these the robot stands still."""
+
+    joints: tuple[Joints, ...] = Field(min_length=1, max_length=1000)
+    velocity: tuple[Joints, ...] | None = Field(default=None, max_length=1000)
+    acceleration: tuple[Joints, ...] | None = Field(default=None, max_length=1000)
+
+    @field_validator("velocity", "acceleration")
+    @classmethod
+    def _one_per_row(cls, rows: tuple[Joints, ...] | None, info: ValidationInfo) -> tuple[Joints, ...] | None:
+        if rows is not None:
+            same_length(rows, info, "joints")
+        return rows
+
+
+class InverseDynamics(Message):
+    """The `torque` (Nm, N if prismatic) of each joint at each row, with what the robot carries, and its `effort`, left out of a joint whose URDF states none
+    that can be. Both are left out if the URDF does not state the inertia of each link.
+    """
+
+    torque: tuple[Joints, ...] | None = None
+    effort: tuple[Positive | None, ...] | None = None
+
+
 class HoldingTorque(ShortMessage):
     """The `torque` (Nm, N if prismatic) that holds a joint still against gravity, and its `effort`, left out where the URDF states none that can be."""
 

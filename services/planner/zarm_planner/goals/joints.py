@@ -48,11 +48,11 @@ class MeasuredJoints:
 
 
 def checked(model: RobotModel, q: Sequence[float] | Array, field: str) -> Array:
-    """A joint vector (dof,) of a request. Raises InvalidRequest if its length is wrong."""
+    """A joint vector (dof,) of a request, positions or their derivatives. Raises InvalidRequest if its length is wrong."""
     joints = model.robot.descriptor.joints
     if len(q) != model.dof:
         raise InvalidRequest(
-            f"{len(q)} joint positions for the {model.dof} joints {', '.join(joints)}; give one for each", field=field
+            f"{len(q)} values for the {model.dof} joints {', '.join(joints)}; give one for each", field=field
         )
     return np.array(q)
 

@@ -11,6 +11,7 @@ from zarm_contract.errors import Unavailable
 from zarm_contract.messages import CancelledPlan, CancelPlan, GripperState
 from zarm_geometry.robot_model import RobotModel
 from zarm_planner.handlers.checks import CheckHandlers
+from zarm_planner.handlers.dynamics import DynamicsHandlers
 from zarm_planner.handlers.kinematics import KinematicsHandlers
 from zarm_planner.handlers.motions import MotionHandlers
 from zarm_planner.handlers.scene_edits import SceneHandlers
@@ -51,6 +52,7 @@ class Handlers:
         self.plan, self.program, self.planner_name = motions.plan, motions.program, motions.planner_name
         kinematics = KinematicsHandlers(state)
         self.ik, self.fk = kinematics.ik, kinematics.fk
+        self.inverse_dynamics = DynamicsHandlers(state).inverse_dynamics
         checks = CheckHandlers(state)
         self.check, self.occupancy = checks.check, checks.occupancy
         self.edit = SceneHandlers(state, moves).edit
