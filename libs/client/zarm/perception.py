@@ -109,7 +109,7 @@ class Perception(Calls):
         found = np.ascontiguousarray(points, "<f4")
         if found.ndim != 2 or found.shape[1] != 3:
             raise InvalidRequest(f"points of the shape {found.shape}; give (n, 3)", field="points")
-        header = CloudHeader(stamp=stamp, points=len(found))
+        header = made(CloudHeader, stamp=stamp, points=len(found))
         self.connection.publisher(self._keys.cloud(camera)).put_encoded(encode_image(header, found.tobytes()))
 
     def look(self, *, images: int = 5, timeout: float = 10.0) -> PerceptionState:

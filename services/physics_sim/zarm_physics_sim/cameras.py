@@ -18,6 +18,7 @@ from zarm_contract.messages import Camera, Cameras, ColorHeader, ImageHeader, In
 from zarm_physics_sim.arm import PhysicalArm
 from zarm_physics_sim.simulation import Simulation
 from zarm_runtime.bus import Bus
+from zarm_runtime.realtime import give_up_realtime
 
 log = logging.getLogger(__name__)
 
@@ -144,6 +145,7 @@ class SimulatedCameras:
             self._prepared.wait(_PREPARED)
 
     def _run(self) -> None:
+        give_up_realtime()  # rendering in software takes all cores, also those that the robot needs
         renderers = _Renderers()
         due: dict[str, float] = {}
         try:

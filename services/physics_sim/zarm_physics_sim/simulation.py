@@ -26,6 +26,8 @@ _STIFF = (4.0 * STEP, 1.0)
 """Time constant (s) and damping of contacts: hard, so that light fingers do not sink into what they hold."""
 _ACCELERATION = 400.0
 """The acceleration (rad/s²) of a motor with its gear alone, by the largest torque: so much inertia has its rotor."""
+_MORE_GEOMS = 100
+"""What a renderer may draw besides the bodies."""
 _FINGER_ARMATURE = 0.05
 """The same of grippers, as the mass that the opening has (kg)."""
 
@@ -275,10 +277,14 @@ class Simulation:
         return data
 
     def renderer(self, width: int, height: int, near: float, far: float) -> Any:
-        """A renderer of images (height, width), to be used in one thread; what is nearer or farther (m) is not seen."""
+        """A renderer of images (height, width), to be used in one thread; what is nearer or farther (m) is not seen.
+
+        There are no shadows: memory for these would keep all other threads waiting while it is made, for 70 ms.
+        """
+        self._model.vis.quality.shadowsize = 0
         self._model.vis.map.znear, self._model.vis.map.zfar = (each / self._model.stat.extent for each in (near, far))
         self._model.vis.global_.offwidth, self._model.vis.global_.offheight = max(width, 640), max(height, 480)
-        return mujoco.Renderer(self._model, height, width)
+        return mujoco.Renderer(self._model, height, width, max_geom=self._model.ngeom + _MORE_GEOMS)
 
     def frame(self, data: Any, link: str | None, position: Vector3, orientation: Quaternion) -> tuple[Array, Array]:
         """Where a frame on a link, by default the base, is in the state `data`: its origin (3,) and its axes (3, 3)."""
