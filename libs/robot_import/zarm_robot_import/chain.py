@@ -80,7 +80,7 @@ class Chain:
     gripper: tuple[str, ...]
     """The joints behind the tip's rigid part, which are taken as a gripper."""
     chosen: str | None = None
-    """The option that chose the joints."""
+    """What chose the joints."""
     groups: tuple[Group, ...] = ()
 
     @property
@@ -89,7 +89,7 @@ class Chain:
         if self.groups:
             return f"They are the moving joints in a row from `{self.base}` on, of each arm; --tip takes one alone."
         if self.chosen:
-            return f"`{self.chosen}` chose them."
+            return f"{self.chosen} chose them."
         row = f"They are the moving joints in a row from `{self.base}` on"
         if self.gripper:
             return (
@@ -173,7 +173,7 @@ def choose_chain(
             "further out"
         )
     chain = _assembled(robot, base, tip, joints, dict(positions or {}))
-    return replace(chain, chosen="--joints" if names else "--tip" if asked else None)
+    return replace(chain, chosen="`--joints`" if names else "`--tip`" if asked else None)
 
 
 def _tree(robot: Description, base: str, tips: Sequence[str], positions: dict[str, float]) -> Chain | None:

@@ -34,12 +34,18 @@ _EACH = 12
 """Configurations of each of several arms that are tried together."""
 
 
-def choose_home(model: RobotModel, arms: Sequence[str] = ()) -> tuple[float, ...]:
-    """The best of random configurations near the middle. Raises InvalidRequest if none is free of self-collision.
+def choose_home(
+    model: RobotModel, arms: Sequence[str] = (), stated: tuple[float, ...] | None = None
+) -> tuple[float, ...]:
+    """What is `stated`, if it is within the ranges and free of self-collision, else the best of random configurations near the middle. Raises InvalidRequest if none is free of self-collision.
 
     Of several `arms`, which are groups, each is looked at alone, with what it shares with the others in the middle; then the best ones
     together.
     """
+    if stated is not None:
+        q = np.array(stated)
+        if ((q >= model.lower) & (q <= model.upper)).all() and _is_free(model, q):
+            return stated
     if not arms:
         return tuple(next(_free(model)).tolist())
     names, middle = model.robot.descriptor.joints, np.clip(0.0, model.lower, model.upper)

@@ -7,8 +7,8 @@ import tempfile
 import time
 import unicodedata
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from zarm_contract.errors import InvalidRequest
@@ -29,6 +29,7 @@ from zarm_robot_import.ros_control import trajectory_controller
 from zarm_robot_import.self_collision import Pair, Pairs
 from zarm_robot_import.source import read_source
 from zarm_robot_import.spheres import BUDGET
+from zarm_robot_import.srdf import Srdf, srdf_beside
 from zarm_robot_import.visual_meshes import without_contradictions
 from zarm_robot_import.writing import descriptor_text, urdf_text
 
@@ -49,6 +50,8 @@ class Options:
     right_size: Collection[str] = ()
     """Links whose size is right, however large they are beside the arm."""
     overwrite: bool = False
+    srdf: Path | None = None
+    """Names groups and grippers, and says where home is; by default the one beside the URDF."""
 
 
 def import_robot(
@@ -90,7 +93,8 @@ def _imported(
     begun = time.process_time()
     progress("reading", 0.0)
     robot = describe(read_source(file, options.packages, options.arguments))
-    chain = choose_chain(robot, options.base, options.tip, options.fixed, options.joints)
+    srdf, unused = _semantics(robot, options)
+    chain = srdf.renamed(_chain(robot, options, srdf))
     limits = limits_of(robot, chain.joints)
     controller = trajectory_controller(robot, [joint.name for joint in chain.joints])
     name = _checked(options.name) if options.name else _name(robot.name)
@@ -142,7 +146,7 @@ def _imported(
         progress(f"geometry of {link}", 0.2 + 0.5 * fitted_links / len(surfaces))
 
     fitted = fit(surfaces, options.spheres * len(chain.tips), contacts.body, counted)
-    grippers = _grippers(robot, chain, surfaces, options)
+    grippers = _grippers(robot, chain, surfaces, options, srdf)
     meshes = {surface.link: surface.triangles for surface in surfaces}
     (work / f"{name}.urdf").write_text(urdf_text(robot, chain, limits, folder, grippers), encoding="utf-8")
     descriptor = work / f"{name}.yaml"
@@ -157,7 +161,13 @@ def _imported(
     travel = {link: far for gripper in grippers.values() for link, far in gripper.travel.items()}
     pairs = Pairs(contacts, fitted, travel).judged()
     progress("home", 0.9)
-    home = choose_home(write(middle, pairs), [group.name for group in chain.groups if group.arm])
+    stated, arms = (
+        srdf.home([joint.name for joint in chain.joints]),
+        [group.name for group in chain.groups if group.arm],
+    )
+    home = choose_home(write(middle, pairs), arms, stated)
+    if stated is not None and home != stated:
+        unused.append("the home of the SRDF is outside of the joints' ranges, or the robot collides with itself there")
     model = write(home, pairs)
     progress("picture", 0.95)
     draw(work / f"{name}.png", model, home, meshes, fitted)
@@ -171,7 +181,7 @@ def _imported(
         limits,
         pairs,
         home,
-        [*left_out, *suspect, *robot.notes],
+        [*unused, *left_out, *suspect, *robot.notes],
         time.process_time() - begun,
         controller,
         grippers,
@@ -180,10 +190,33 @@ def _imported(
     return descriptor.name, report
 
 
+def _semantics(robot: Description, options: Options) -> tuple[Srdf, list[str]]:
+    """What an SRDF says, an empty one if there is none; and a note if the one beside the URDF cannot be used. Raises InvalidRequest for one that is given."""
+    if options.srdf is not None:
+        return Srdf.read(options.srdf, robot), []
+    try:
+        beside = srdf_beside(robot)
+        return (Srdf({}, ()) if beside is None else Srdf.read(beside, robot)), []
+    except InvalidRequest as error:
+        return Srdf({}, ()), [f"the SRDF is not used: {error}"]
+
+
+def _chain(robot: Description, options: Options, srdf: Srdf) -> Chain:
+    """The joints of the arm; where the structure leaves a choice, those of the arm of the SRDF. Raises InvalidRequest."""
+    try:
+        return choose_chain(robot, options.base, options.tip, options.fixed, options.joints)
+    except InvalidRequest:
+        if not options.tip and not options.joints and (arm := srdf.arm(robot)) is not None:
+            with suppress(InvalidRequest):
+                chain = choose_chain(robot, options.base, None, options.fixed, arm[1])
+                return replace(chain, chosen=f"The group `{arm[0]}` of the SRDF")
+        raise
+
+
 def _grippers(
-    robot: Description, chain: Chain, surfaces: Sequence[Surface], options: Options
+    robot: Description, chain: Chain, surfaces: Sequence[Surface], options: Options, srdf: Srdf
 ) -> dict[str, ImportedGripper]:
-    """The gripper behind each arm, by the name of its group, or as `gripper` behind the only one."""
+    """The gripper behind each arm, by its name in the SRDF, the name of its group, or as `gripper` behind the only one."""
     arms = {"gripper": chain}
     if chain.groups:
         arms = {
@@ -193,7 +226,11 @@ def _grippers(
         f"{name}_gripper" if chain.groups else name: find_gripper(robot, arm, surfaces, options.fixed)
         for name, arm in arms.items()
     }
-    return {name: gripper for name, gripper in found.items() if gripper is not None}
+    grippers = {name: gripper for name, gripper in found.items() if gripper is not None}
+    named = {
+        srdf.gripper_of(gripper.joint.name, gripper.followers) or name: gripper for name, gripper in grippers.items()
+    }
+    return named if len(named) == len(grippers) else grippers
 
 
 def _name(text: str) -> str:

@@ -62,6 +62,12 @@ class Source(UrdfDocument):
             found.insert(0, parents[found[0]])
         return found[1:]
 
+    @property
+    def srdfs(self) -> list[Path]:
+        """The SRDFs in the folders in which that of this robot may lie: in its own, or as in packages of descriptions and of MoveIt's configuration."""
+        folders = [self.path.parent / place for place in (".", "../srdf", "../config")]
+        return sorted({file.resolve() for folder in folders for file in folder.glob("*.srdf")})
+
     def file(self, name: str) -> Path | None:
         """The file that a URI in the XML names, None if there is none."""
         scheme, _, rest = name.rpartition("://")
@@ -110,7 +116,7 @@ def fingerprint(path: Path) -> bytes:
     source = read_source(path)
     named = [mesh.get("filename", "") for mesh in source.root.iter("mesh")]
     named += [(parameters.text or "").strip() for parameters in source.root.iter("parameters")]
-    files = {file for name in named if name and (file := source.file(name))}
+    files = {file for name in named if name and (file := source.file(name))} | {*source.srdfs}
     states = (f"{file} {(state := file.stat()).st_mtime_ns} {state.st_size}" for file in sorted(files))
     return "\n".join([ET.tostring(source.root, encoding="unicode"), *states]).encode()
 

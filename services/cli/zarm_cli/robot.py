@@ -63,6 +63,12 @@ def import_(
     right_size: Annotated[
         list[str] | None, typer.Option(metavar="LINK", help="A link whose size is right, however large beside the arm.")
     ] = None,
+    srdf: Annotated[
+        Path | None,
+        typer.Option(
+            help="MoveIt's SRDF, for home and the names of groups and grippers (default: the one beside the URDF)."
+        ),
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a descriptor that is there already.")] = False,
 ) -> None:
     """Make a descriptor, a URDF of the arm alone, a report and a picture from any URDF or xacro."""
@@ -78,6 +84,7 @@ def import_(
         spheres=spheres,
         right_size=right_size or (),
         overwrite=overwrite,
+        srdf=srdf,
     )
     descriptor, report = imported.run_import(file, output or Path(name or file.name.split(".")[0]), chosen)
     for warning in report.warnings:
