@@ -28,6 +28,8 @@ from zarm_perception.robot_shape import RobotShapes
 SCALE = 0.3
 """Share of the joints' speeds."""
 LINKS = {*UR5E.descriptor.collision}
+CANDIDATES = 12
+"""Boxes of which one is chosen."""
 APPEARING = 0.4
 """s that the simulation takes at most to have the box."""
 RESTS = 0.005
@@ -36,18 +38,28 @@ WATCHED = 2.5
 """s for which a held motion is watched."""
 
 
-def box_ahead(cell: Cell, plan: Plan, rng: np.random.Generator) -> Cuboid:
-    """A box where the tip will be later, 10 cm from wherever the robot can be when the box appears."""
-    times, positions = np.array(plan.trajectory.time), np.array(plan.trajectory.position)
-    now = _index(positions, cell.robot.joint_state().position)
-    soon = positions[(times >= times[now]) & (times <= times[now] + APPEARING)]
-    robot = [RobotShapes(MODEL).at(there).parts for there in soon]
-    while True:
-        tip = MODEL.fk_tip(positions[int(rng.uniform(0.6, 0.95) * len(positions))])[:3, 3]
+class Boxes:
+    """Boxes where the tip will be late in a motion, and how near the robot comes to each: looked at before it moves, since that takes a while."""
+
+    def __init__(self, plan: Plan, rng: np.random.Generator) -> None:
+        every = slice(None, None, 5)
+        self._times = np.array(plan.trajectory.time)[every]
+        self._positions = np.array(plan.trajectory.position)[every]
+        self._boxes = [self._drawn(rng) for _ in range(CANDIDATES)]
+        parts = [RobotShapes(MODEL).at(there).parts for there in self._positions]
+        self._distances = np.array([[rows.distances(_points(box), one).min() for one in parts] for box in self._boxes])
+
+    def ahead(self, position: tuple[float, ...]) -> Cuboid | None:
+        """One that is 10 cm from wherever the robot can be when it appears; None if there is none."""
+        now = self._times[_index(self._positions, position)]
+        soon = (self._times >= now) & (self._times <= now + APPEARING)
+        far = np.flatnonzero(self._distances[:, soon].min(axis=1) > 0.1)
+        return self._boxes[far[0]] if len(far) else None
+
+    def _drawn(self, rng: np.random.Generator) -> Cuboid:
+        tip = MODEL.fk_tip(self._positions[int(rng.uniform(0.6, 0.95) * len(self._positions))])[:3, 3]
         place, size = tip + rng.uniform(-0.05, 0.05, 3), rng.uniform(0.06, 0.15, 3)
-        box = Cuboid(kind="cuboid", name="box", position=tuple(place.tolist()), size=tuple(size.tolist()))
-        if min(rows.distances(_points(box), parts).min() for parts in robot) > 0.1:
-            return box
+        return Cuboid(kind="cuboid", name="box", position=tuple(place.tolist()), size=tuple(size.tolist()))
 
 
 def _index(positions: np.ndarray, position: tuple[float, ...]) -> int:
@@ -81,9 +93,12 @@ def touches(cell: Cell) -> bool:
 def trial(cell: Cell, goal: tuple[float, ...], rng: np.random.Generator) -> tuple[bool, bool, bool, bool]:
     """Whether the box was too near, whether a motion was held, whether it touched the box, and whether it went on to its goal."""
     plan = cell.robot.plan(goal, velocity_scale=SCALE)
+    boxes = Boxes(plan, rng)
     running = cell.robot.start(plan)
     time.sleep(float(rng.uniform(0.0, 0.2)) * plan.trajectory.time[-1])
-    box = box_ahead(cell, plan, rng)
+    box = boxes.ahead(cell.robot.joint_state().position)
+    if box is None:  # never seen: the motion ends far from where it begins
+        raise RuntimeError("no box lies ahead")
     cell.world(FLOOR, box)
     held = touched = False
     appeared = time.monotonic()
