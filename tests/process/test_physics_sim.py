@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import zarm
-from support.harness import ServiceProcess, eventually, router
+from support.harness import PATIENCE, ServiceProcess, eventually, router
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverFault, PhysicsState
 from zarm_contract.robot import load_robot
@@ -103,6 +103,8 @@ def test_another_world_is_loaded_while_it_runs(tmp_path: Path) -> None:
         assert not cell.robot.simulation.state().bodies
         cell.robot.simulation.load("shelf")
         eventually(lambda: cell.now().bodies, "the world is loaded")
+        shown = cell.bus.read(cell.keys.physics_objects, timeout=PATIENCE).objects
+        assert {"board_0", "carton_0"} < {item.name for item in shown}
         assert {"board_0", "carton_0"} < {*cell.robot.scene.objects()}
         cell.robot.execute(cell.robot.plan(zarm.Pose((0.4, -0.2, 0.6), (0.0, 0.7071, 0.0, 0.7071))))
         touched = {name for state in cell.truth for one in state.contacts for name in (one.first, one.second)}

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 
 from zarm_contract.messages import LoadWorld, Nothing, PhysicsObjects, Scene
+from zarm_contract.messages.physics import MAX_BODIES
 from zarm_physics_sim.arm import PhysicalArm
 from zarm_physics_sim.cameras import SimulatedCameras
 from zarm_physics_sim.world import World
@@ -26,7 +27,7 @@ class Surroundings:
         self._arm, self._cameras, self._world, self._scene = arm, cameras, world, Scene(revision="0-000000000000")
         self._publish = publish
         self._lock = threading.Lock()
-        publish(PhysicsObjects(objects=tuple(world.objects.values())))
+        publish(_published(world))
 
     def see(self, scene: Scene) -> None:
         """Take over a new scene."""
@@ -48,4 +49,10 @@ class Surroundings:
         if meshes := [item.name for item in world.objects.values() if item.kind == "mesh"]:
             log.warning("meshes are left out of the physics objects=%s", ",".join(meshes))
         self._arm.change_world(world, self._scene.attached, self._cameras.prepare)
-        self._publish(PhysicsObjects(objects=tuple(world.objects.values())))
+        self._publish(_published(world))
+
+
+def _published(world: World) -> PhysicsObjects:
+    """What is there besides the scene, or where it moves."""
+    objects = () if world.believed else tuple(world.objects.values())
+    return PhysicsObjects(objects=objects[:MAX_BODIES])

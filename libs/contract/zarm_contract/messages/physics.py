@@ -100,7 +100,8 @@ class Contact(ShortMessage):
 
 
 class PhysicsObjects(Message):
-    """The objects of a simulation, at the poses at which they were described: `PhysicsState` says where those are that move."""
+    """The objects of a simulation, at the poses at which they were described: `PhysicsState` says where those are that move. None if they are those of
+    the scene."""
 
     objects: tuple[SceneObject, ...] = Field(default=(), max_length=MAX_BODIES)
 
