@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
+RENDERING_PRIORITY = 1
 PROCESS_PRIORITY = 10
 CONTROL_PRIORITY = 20
 """Above every ordinary thread, below the kernel's own (50)."""
@@ -22,12 +23,6 @@ def ask_for_realtime(priority: int) -> bool:
     return True
 
 
-def give_up_realtime() -> None:
-    """Give the calling thread, and all threads it starts from now on, an ordinary priority."""
-    with suppress(AttributeError, PermissionError):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-
-
 @contextmanager
 def realtime_offspring(priority: int) -> Iterator[None]:
     """Threads started inside by the calling one have a real-time priority, if allowed; that of the caller is restored."""
@@ -36,4 +31,4 @@ def realtime_offspring(priority: int) -> Iterator[None]:
         yield
     finally:
         if allowed:
-            give_up_realtime()
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

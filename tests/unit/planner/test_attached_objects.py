@@ -270,7 +270,7 @@ def pose(item: SceneObject) -> np.ndarray:
         (attach("load"), "edit.name", "carries load already"),
         (attach("box", "upper", "finger"), "edit.touch_links.1", "finger is not a link .* stand, turret, upper"),
         (attach("rod"), "edit.name", "rod is a link"),
-        (attach("box", at=UP[:3]), "edit.joints", "3 joint positions for the 4 joints"),
+        (attach("box", at=UP[:3]), "edit.joints", "3 values for the 4 joints"),
         (detach("box"), "edit.name", "does not carry box; it carries load"),
         (add(BALL.model_copy(update={"name": "load"}), replace=True), "edit.objects.0.name", "carries load; detach it"),
         (

@@ -245,7 +245,7 @@ MOVING = StartState(position=tuple(HOME), velocity=(0.1, *[0.0] * 13), accelerat
             request(together(left=pose(0.4, 0.3, 0.4), up=pose(0.4, 0.3, 0.4))),
             r"no group up; .*\(goal.goals.1.group\)",
         ),
-        (request(JointGoal(kind="joints", position=tuple(HOME)), group="left"), "14 joint positions for the 7 joints"),
+        (request(JointGoal(kind="joints", position=tuple(HOME)), group="left"), "14 values for the 7 joints"),
         (
             request(JointGoal(kind="joints", position=tuple(HOME[RIGHT])), group="right", start_state=MOVING),
             "left_panda_joint1 moves, but is not of the group",
