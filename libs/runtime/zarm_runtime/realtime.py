@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-RENDERING_PRIORITY = 1
 PROCESS_PRIORITY = 10
 CONTROL_PRIORITY = 20
 """Above every ordinary thread, below the kernel's own (50)."""

@@ -18,7 +18,6 @@ from zarm_contract.messages import Camera, Cameras, ColorHeader, ImageHeader, In
 from zarm_physics_sim.arm import PhysicalArm
 from zarm_physics_sim.simulation import Simulation
 from zarm_runtime.bus import Bus
-from zarm_runtime.realtime import RENDERING_PRIORITY, ask_for_realtime
 
 log = logging.getLogger(__name__)
 
@@ -145,7 +144,6 @@ class SimulatedCameras:
             self._prepared.wait(_PREPARED)
 
     def _run(self) -> None:
-        ask_for_realtime(RENDERING_PRIORITY)  # below the robot: rendering in software takes all cores
         renderers = _Renderers()
         due: dict[str, float] = {}
         try:
