@@ -54,15 +54,13 @@ def main() -> None:
 
 def make(record: Path, state: Path) -> None:
     """Record the demo with its scene, map and simulation."""
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     with launch(
         PANDA,
         strategy=None,
         driver=SimulatedDriver.physics,
         physics=WORLD,
         perception=MAP,
-        listen=endpoint,
+        listen=f"tcp/127.0.0.1:{free_port()}",
         state=state,
         log_level="WARNING",
         view=None,

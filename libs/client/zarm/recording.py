@@ -55,7 +55,7 @@ class Recorder:
         self._listening: list[Callable[[], None]] = []
         try:
             for key in Recorded(connection.keys, scene=scene).keys.values():
-                before = key.recorded == "value and changes" or (key.recorded != "changes" and key.rights.latched)
+                before = key.rights.latched and key.recorded != "changes"
                 listen = connection.bus.follow if before else connection.bus.listen
                 self._listening.append(listen(key, self._put))
             if images:
