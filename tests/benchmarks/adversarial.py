@@ -1,7 +1,7 @@
-"""Whether a robot ever moves into what moves: `python tests/benchmarks/adversarial.py [--count 10000] [--seed 0]`.
+"""Whether a robot ever moves into what moves: `python tests/benchmarks/adversarial.py [--count 10000] [--seed 0] [--mode chunks]`.
 
 Objects come at an M1013 at up to their stated speed (up to 1 m/s), turn around, wait and dash, while it executes a goal, follows a
-target or chunks of a policy, in turns; in 3 of 10 runs the servo dies at a random moment. Poses come 20 to 100 times a second, up to 30 ms late, on a clock
+target or chunks of a policy, in turns or as `--mode` says; in 3 of 10 runs the servo dies at a random moment. Poses come 20 to 100 times a second, up to 30 ms late, on a clock
 that is up to 18 ms off. Guard, session, controller and the executor's state machine are those of the product, in this process, with
 a clock that is turned by hand and an arm that follows exactly; python-fcl looks every 10 ms whether there is contact.
 
@@ -31,13 +31,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=10_000, help="attacks")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first one")
+    parser.add_argument("--mode", choices=MODES, help="the only thing that the robot does (default: all in turns)")
     options = parser.parse_args()
     logging.disable()
     cell, began = Cell(), time.process_time()
     ended: dict[str, list[Attack]] = {mode: [] for mode in MODES}
     contacts = []
     for number in range(options.count):
-        mode, seed = MODES[number % len(MODES)], options.seed + number
+        mode, seed = options.mode or MODES[number % len(MODES)], options.seed + number
         attack = cell.attack(seed, mode)
         ended[mode].append(attack)
         if attack.outcome == "contact":

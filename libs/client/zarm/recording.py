@@ -23,7 +23,7 @@ _BACKLOG = 100_000
 """Messages that may wait for a slow disk; more are lost, and counted. Some minutes of a robot, about 50 MB."""
 
 _IMAGES = 64
-"""Depth images that may wait: 40 MB of 640 x 480 pixels."""
+"""Images that may wait: 40 MB of depth, 60 MB of colour with 640 x 480 pixels."""
 
 _FLUSH_SECONDS = 1.0
 """Seconds of messages lost at most when the program is killed, and the delay until a full disk is noticed."""
@@ -33,7 +33,7 @@ class Recorder:
     """Records the robot's messages to an MCAP file, `path`, until `close`; `Robot.record` makes it.
 
     Until then the file is `<path>.part`. Use it in `with`. Thread-safe. With `scene`, the scene, the voxel map and a simulation are in it
-    too, and with `images` depth images.
+    too, and with `images` the depth and colour images of the cameras.
     """
 
     def __init__(self, connection: Connection, path: Path, *, scene: bool = False, images: bool = False) -> None:
@@ -45,7 +45,8 @@ class Recorder:
         self._interrupts = connection.interrupts
         self._error: OSError | None = None
         self._entries: queue.SimpleQueue[Entry | None] = queue.SimpleQueue()
-        self._cameras = connection.keys.depth("*").removesuffix("*")
+        cameras = (connection.keys.depth("*"), connection.keys.color("*"))
+        self._cameras = tuple(key.removesuffix("*") for key in cameras)
         self._images = 0  # that wait
         self._counting = threading.Lock()
         self._file = self._open(connection)
@@ -59,7 +60,7 @@ class Recorder:
                 listen = connection.bus.follow if before else connection.bus.listen
                 self._listening.append(listen(key, self._put))
             if images:
-                self._listening.append(connection.bus.listen(connection.keys.depth("*"), self._put_image))
+                self._listening += [connection.bus.listen(key, self._put_image) for key in cameras]
         except BaseException:
             self.close()
             raise

@@ -124,8 +124,8 @@ class Robot(Calls):
             robot.execute(plan)
         ```
 
-        With `scene`, the scene, the voxel map and a simulation are in it too, and the page shows them. With `images`, depth images are in it,
-        for Foxglove; a replay does not publish them. Raises InvalidRequest for a file that is there already, and
+        With `scene`, the scene, the voxel map and a simulation are in it too, and the page shows them. With `images`, the depth and colour
+        images of the cameras are in it, for Foxglove; a replay does not publish them. Raises InvalidRequest for a file that is there already, and
         Unavailable where it cannot be written.
         """
         from zarm.recording import Recorder

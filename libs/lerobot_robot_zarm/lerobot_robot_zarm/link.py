@@ -24,8 +24,8 @@ class Link:
 
     @property
     def grippers(self) -> tuple[str, ...]:
-        """The names of the grippers."""
-        return tuple(self.description.descriptor.grippers)
+        """The names of the grippers, sorted as in data sets from records, which have no descriptor."""
+        return tuple(sorted(self.description.descriptor.grippers))
 
     @property
     def features(self) -> dict[str, type]:

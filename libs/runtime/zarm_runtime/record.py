@@ -3,7 +3,7 @@
 A channel is a key of the bus, a message the exact bytes sent over it (encoding `json`), with the schema of its class
 (`jsonschema`, named `zarm.<Message>.v4`). `log_time` is when it was sent or received here, in ns since 1970;
 `publish_time` is the same, except for values that already held when the record begins: then it is when they were
-published. Depth images, which are there on request, are `foxglove.RawImage`.
+published. Images, which are there on request, are `foxglove.RawImage`.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from zstandard import ZstdError
 
 from zarm_contract.codec import CONTRACT, other_contract, schema
 from zarm_contract.errors import InvalidRequest
+from zarm_contract.image import decode_color, decode_image
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Message
 from zarm_runtime.recorded import Recorded
@@ -51,6 +52,7 @@ class RecordFile:
         self.draft = path.with_name(path.name + DRAFT)
         self.count = 0
         self._recorded = Recorded(keys, scene=True)
+        self._color = keys.color("*").removesuffix("*")
         self._schemas: dict[type[Message], int] = {}
         self._channels: dict[str, int] = {}
         self._image_schema = 0
@@ -69,9 +71,10 @@ class RecordFile:
         )
 
     def write_image(self, entry: Entry) -> None:
-        """Add a depth image. Raises InvalidRequest for a payload that is none."""
+        """Add a depth or colour image. Raises InvalidRequest for a payload that is none."""
         stamp, key, payload = entry
-        data = raw_image(key.rpartition("/")[2], payload)
+        header, pixels = decode_color(payload) if key.startswith(self._color) else decode_image(payload)
+        data = raw_image(key.rpartition("/")[2], header, pixels)
         if key not in self._channels:
             self._image_schema = self._image_schema or self._writer.register_schema(SCHEMA, "jsonschema", DEFINITION)
             self._channels[key] = self._writer.register_channel(key, "json", self._image_schema)

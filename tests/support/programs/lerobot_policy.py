@@ -6,67 +6,14 @@ The real lerobot package is used, with nothing behind what it imports for traini
 
 from __future__ import annotations
 
-import importlib.abc
-import importlib.machinery
 import json
 import math
 import sys
 import time
-import types
-from typing import Any
 
-LEFT_OUT = {
-    "accelerate", "av", "cv2", "datasets", "deepdiff", "diffusers", "einops", "gymnasium", "imageio", "jsonlines", "pandas", "pyarrow", "pynput",
-    "rerun", "safetensors", "serial", "termcolor", "torch", "torchcodec", "torchvision", "transformers", "wandb",
-}  # fmt: skip
+from lerobot_left_out import DATA_SETS, OTHERS, leave_out
 
-
-class Anything(type):
-    """A class that has every attribute, and decorates functions as they are."""
-
-    def __getattr__(cls, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return Anything(name, (), {})
-
-    def __getitem__(cls, _: object) -> Any:
-        return cls
-
-    def __or__(cls, _: object) -> Any:
-        return object
-
-    __ror__ = __or__
-
-    def __call__(cls, *arguments: Any, **_: Any) -> Any:
-        return arguments[0] if len(arguments) == 1 and callable(arguments[0]) else Anything("made", (), {})
-
-
-class Empty(types.ModuleType):
-    """A module that has everything."""
-
-    __path__ = ()
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return Anything(name, (), {})
-
-
-class Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Finds empty modules."""
-
-    def find_spec(self, name: str, *_: Any) -> importlib.machinery.ModuleSpec | None:
-        left_out = name.split(".")[0] in LEFT_OUT
-        return importlib.machinery.ModuleSpec(name, self, is_package=True) if left_out else None
-
-    def create_module(self, spec: importlib.machinery.ModuleSpec) -> types.ModuleType:
-        return Empty(spec.name)
-
-    def exec_module(self, module: types.ModuleType) -> None:
-        """Nothing is in it."""
-
-
-sys.meta_path.insert(0, Finder())
+leave_out(OTHERS | DATA_SETS)
 
 
 def main() -> None:
