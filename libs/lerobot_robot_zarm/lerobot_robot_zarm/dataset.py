@@ -49,7 +49,9 @@ def convert(
 
 
 def command(
-    records: Annotated[list[Path], typer.Argument(help="The records (`zarm record --images`), each of which becomes an episode.")],
+    records: Annotated[
+        list[Path], typer.Argument(help="The records (`zarm record --images`), each of which becomes an episode.")
+    ],
     repo_id: Annotated[str, typer.Option(help="The data set, as `me/pick`.")],
     task: Annotated[str, typer.Option(help="The task, in words.")],
     fps: Annotated[int, typer.Option(min=1, max=200, help="Frames a second.")] = 30,
@@ -92,4 +94,3 @@ def _values(frame: Frame, following: Frame) -> dict[str, Any]:
         "action": np.array(list(following.positions.values()), np.float32),
         **images,
     }
-

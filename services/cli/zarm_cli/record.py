@@ -22,7 +22,9 @@ def record(
         bool,
         typer.Option("--scene", help="Record the scene, the voxel map and a simulation too, which the page shows."),
     ] = False,
-    images: Annotated[bool, typer.Option("--images", help="Record the images of the cameras too, which Foxglove shows.")] = False,
+    images: Annotated[
+        bool, typer.Option("--images", help="Record the images of the cameras too, which Foxglove shows.")
+    ] = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
