@@ -2,7 +2,8 @@
 
 An M1013, its mass that of its geometry, stands in a cell with a floor, a post and a shelf, and is driven by what a random policy says, in turns: single positions 30 times a second,
 as LeRobot sends actions, and chunks of 16 points. Each episode walks at random from where the robot is, at up to 0.15 rad per action. *Contacts* are those that the simulation
-counts of a link with anything, in any of its states; *moved* is how far the joint that moves most goes in an episode.
+counts of a link with anything, in any of its states; *moved* is how far the joint that moves most goes in an episode. *Ended* are sessions that the executor has ended, braking, because
+a busy machine brought steps too late.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from rich.console import Console
 from rich.table import Table
 
 import zarm
-from support.harness import ServiceProcess, router
-from zarm_contract.errors import InvalidRequest
+from support.harness import ServiceProcess, eventually, router
+from zarm_contract.errors import ExecutionRefused, InvalidRequest
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Cuboid, PhysicsState, SceneObject
 from zarm_contract.robot import load_robot
@@ -89,7 +90,7 @@ def main() -> None:
     options = parser.parse_args()
     rng, watch = np.random.default_rng(0), Watch()
     moved: dict[str, list[float]] = {"positions": [], "chunks": []}
-    turned_down = {"positions": 0, "chunks": 0}
+    turned_down, ended = {"positions": 0, "chunks": 0}, {"positions": 0, "chunks": 0}
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         endpoint = stack.enter_context(router())
@@ -102,12 +103,19 @@ def main() -> None:
         bus.subscribe(keys.physics_state, watch)
         for number in range(options.episodes):
             kind = "chunks" if number % 2 else "positions"
-            far, refused = episode(robot, rng, options.seconds, chunks=kind == "chunks")
+            try:
+                far, refused = episode(robot, rng, options.seconds, chunks=kind == "chunks")
+            except ExecutionRefused:
+                ended[kind] += 1
+                eventually(lambda: not any(robot.joint_state().velocity), "the robot rests")
+                continue
             moved[kind].append(far)
             turned_down[kind] += refused
-    table = Table("what the policy sends", "episodes", "moved, median", "refused")
+    table = Table("what the policy sends", "episodes", "moved, median", "refused", "ended")
     for kind, found in moved.items():
-        table.add_row(kind, str(len(found)), f"{np.median(found):.2f} rad", str(turned_down[kind]))
+        table.add_row(
+            kind, str(len(found) + ended[kind]), f"{np.median(found):.2f} rad", str(turned_down[kind]), str(ended[kind])
+        )
     Console().print(table)
     Console().print(f"{watch.states} states of the simulation, contacts: {sorted(watch.touched) or 'none'}")
 

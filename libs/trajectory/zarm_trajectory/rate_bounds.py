@@ -180,8 +180,14 @@ def _remaining(most: Array, least: Array, *uses: tuple[Array, Array]) -> Array:
     Each use (rows, samples, J) is multiplied by a factor per node, (nodes,) or (rows, nodes); `most` and `least` are
     (rows, samples, J) too.
     """
-    flat = (len(most), 1, -1)
-    left = most.reshape(flat)
-    for used, share in uses:
-        left = left - used.reshape(flat) * share[..., None]
-    return np.asarray(np.maximum(left, least.reshape(flat)).min(axis=2).clip(0.0, _UNBOUNDED))
+    flat = (len(most), -1)
+    most, least = most.reshape(flat), least.reshape(flat)
+    remaining = np.empty((len(most), _NODES + 1))
+    for node in range(
+        _NODES + 1
+    ):  # all at once they would be as large as what `LARGE` of the executor gives back to the system
+        left = most
+        for used, share in uses:
+            left = left - used.reshape(flat) * share[..., node, None]
+        np.maximum(left, least).min(axis=1, out=remaining[:, node])
+    return remaining.clip(0.0, _UNBOUNDED)
