@@ -17,6 +17,7 @@ import zarm
 from support.example_programs import run_example
 from support.harness import ServiceProcess, eventually, router
 from support.seeing_cell import BACK, FLOOR, FRONT, MODEL, POST, SIDE, THERE, UR5E, Cell, camera, cell_of
+from zarm_contract.image import OF_ROBOT, decode_color
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Camera, Cuboid
 from zarm_contract.robot import ROBOTS
@@ -165,6 +166,12 @@ def test_what_cameras_see_is_avoided_and_the_robot_is_not_in_its_own_way(cell: C
     state = cell.look(FRONT, SIDE)
     assert not state.stale
     assert all(one.robot > 0.005 for one in state.cameras)
+    masks: list[bytes] = []
+    cell.bus.listen(cell.keys.mask("front"), lambda _, payload: masks.append(payload))
+    eventually(lambda: masks, "what the map makes of an image is published")
+    header, pixels = decode_color(masks[0])
+    assert np.mean(np.frombuffer(pixels, np.uint8) == OF_ROBOT) == pytest.approx(state.cameras[0].robot, rel=0.3)
+    assert header.width == 160
     assert {*cell.robot.perception.points()} == {*map(tuple, cell.points.tolist())}
     off = rows.distances(cell.points, rows.primitives([FLOOR, POST])).min(axis=1)
     assert off.max() < 0.02, "nothing is seen that is not there"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -12,10 +13,12 @@ from typing import Self
 import numpy as np
 
 from zarm_contract.errors import InvalidRequest, ZarmError
+from zarm_contract.image import encode_image
 from zarm_contract.messages import (
     Camera,
     CameraChange,
     Cameras,
+    ColorHeader,
     LoadedMap,
     Nothing,
     PerceptionState,
@@ -31,7 +34,7 @@ from zarm_perception.cameras import CameraSource, Image
 from zarm_perception.joint_history import JointHistory
 from zarm_perception.robot_shape import RobotShapes
 from zarm_perception.saved_map import load, save
-from zarm_perception.voxel_map import VoxelMap
+from zarm_perception.voxel_map import Seen, VoxelMap
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +47,8 @@ _STATE_PERIOD = 0.5
 class Mapping:
     """The voxel map of a robot: takes images from any thread, one after the other, the newest of each camera.
 
-    `publish(block, message)` is called for each block that has changed, `report(state)` twice a second.
+    `publish(block, message)` is called for each block that has changed, `report(state)` twice a second, and as often
+    `show(camera, payload)` for what it makes of an image.
     """
 
     def __init__(
@@ -56,10 +60,12 @@ class Mapping:
         grippers: GripperOpenings,
         publish: Callable[[str, VoxelBlock], object],
         report: Callable[[PerceptionState], object],
+        show: Callable[[str, bytes], object],
     ) -> None:
         self._model, self._voxels, self._padding = model, voxels, padding
         self._history, self._grippers = history, grippers
-        self._publish, self._report = publish, report
+        self._publish, self._report, self._show = publish, report, show
+        self._shown_at: dict[str, float] = {}
         self._sources: dict[str, CameraSource] = {}
         self._waiting: dict[str, tuple[CameraSource, Image]] = {}
         self._unknown: set[str] = set()
@@ -194,6 +200,16 @@ class Mapping:
             self._publish_changes()
         pixels = image.depth.size
         source.taken(seen.valid / pixels, seen.robot / pixels, time.perf_counter() - begun)
+        self._show_mask(source.camera.name, image.stamp, seen)
+
+    def _show_mask(self, camera: str, stamp: float, seen: Seen) -> None:
+        now = time.monotonic()
+        if now - self._shown_at.get(camera, -math.inf) >= _STATE_PERIOD:
+            self._shown_at[camera] = now
+            mask = seen.mask()
+            height, width = mask.shape
+            header = ColorHeader(stamp=stamp, width=width, height=height, encoding="mono8")
+            self._show(camera, encode_image(header, mask.tobytes()))
 
     def _robot(self) -> RobotShapes:
         """The robot with what it carries, its grippers as they are, and what it may grip."""

@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 
 import numpy as np
 
@@ -36,6 +37,7 @@ def start(service: Service) -> Iterator[None]:
         bus.latched(keys.perception_state),
         bus.publisher(keys.cameras),
     )
+    masks = cache(lambda camera: bus.publisher(keys.mask(camera)))
 
     def publish(name: str, block: VoxelBlock) -> None:
         blocks.set(block, key=keys.voxels(name))
@@ -44,7 +46,10 @@ def start(service: Service) -> Iterator[None]:
         service.note = "; ".join(f"{camera.name}: {camera.problem}" for camera in state.cameras if camera.problem)
         states.set(state)
 
-    mapping = Mapping(model, voxels, options.padding, history, grippers, publish, report)
+    def show(camera: str, payload: bytes) -> None:
+        masks(camera).put_encoded(payload)
+
+    mapping = Mapping(model, voxels, options.padding, history, grippers, publish, report, show)
     for name, described in service.robot.descriptor.cameras.items():
         mapping.add(described.message(name))
 

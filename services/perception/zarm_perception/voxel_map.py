@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_contract.image import COUNTS, MASK_COLUMNS, OF_ROBOT
 from zarm_perception.kernels.integration import (
     BLOCK,
     FREE,
@@ -16,6 +17,7 @@ from zarm_perception.kernels.integration import (
     UNSEEN,
     Depth,
     Grid,
+    Mask,
     View,
     cleaned,
     clear,
@@ -46,12 +48,22 @@ _DIAGONAL = 3.0**0.5 / 2.0
 
 @dataclass(frozen=True)
 class Seen:
-    """What an image has done: pixels with a depth, pixels of the robot, pixels in the map, and voxels that it freed."""
+    """What an image has done: pixels with a depth, pixels of the robot, pixels in the map, and voxels that it freed. `depth` (h, w) has the depths that
+    count, and is 0 elsewhere; `of_robot` (h, w) is 1 where a pixel is the robot.
+    """
 
     valid: int
     robot: int
     marking: int
     freed: int
+    depth: Depth
+    of_robot: Mask
+
+    def mask(self) -> NDArray[np.uint8]:
+        """What each pixel is, see `COUNTS`, thinned out to `MASK_COLUMNS`."""
+        step = -(-self.depth.shape[1] // MASK_COLUMNS)
+        counts = np.where(self.depth[::step, ::step] > 0.0, np.uint8(COUNTS), np.uint8(0))
+        return np.where(self.of_robot[::step, ::step] > 0, np.uint8(OF_ROBOT), counts)
 
 
 class VoxelMap:
@@ -87,7 +99,7 @@ class VoxelMap:
         through = np.empty_like(counted)
         filled(counted, through)
         freed = clear(self._grid, least_depths(through), view, self._images, self.unseen_occupied)
-        return Seen(int(np.count_nonzero(counted)), int(mask.sum()), marking, freed)
+        return Seen(int(np.count_nonzero(counted)), int(mask.sum()), marking, freed, counted, mask)
 
     def take_out(self, shape: RobotShape, padding: float) -> None:
         """Free what is within `padding` (m) of a shape: it was seen before that was known."""

@@ -16,6 +16,7 @@ from zarm_viewer.kinematics import Array
 from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.scene_view import SceneView
 from zarm_viewer.simulation_view import SimulationView
+from zarm_viewer.voxel_view import VoxelView
 from zarm_viewer.watching import News
 
 MEASURED, GHOST = (222, 226, 230), (90, 200, 250)
@@ -49,6 +50,7 @@ class Picture:
         self._ghost = Ghost(lambda: Arm(scene, f"{panels.root}/ghost", robot, body, GHOST, 0.35))
         scene.add_frame(f"{self.arm.tip}/tip_axes", axes_length=0.12, axes_radius=0.004)
         self.scene = SceneView(panels, self.arm.nodes, self.arm.tip, meshes)
+        self._voxels = VoxelView(panels)
         self._simulation = SimulationView(panels, meshes)
         self._cameras = CameraView(panels, self.arm.nodes)
         self._trail: deque[Array] = deque(maxlen=TRAIL_POINTS)
@@ -78,14 +80,15 @@ class Picture:
             self.scene.draw(news.scene)
             self._simulation.believe(news.scene.objects)
         if news.voxels is not None:
-            self.scene.draw_voxels(news.voxels)
+            self._voxels.draw(news.voxels)
+        self._voxels.fade()
         if news.simulated is not None:
             self._simulation.draw_objects(news.simulated)
         if news.physics is not None:
             self._simulation.draw_state(news.physics)
         if news.cameras is not None:
             self._cameras.draw(news.cameras)
-        self._cameras.draw_images(news.images)
+        self._cameras.draw_images(news.images, news.masks)
         if news.plan is not None:
             self._draw_path(news.plan.trajectory)
         elif news.trajectory is not None:

@@ -1,4 +1,4 @@
-"""The scene in the 3D view: objects, what the robot carries, and what cameras see."""
+"""The scene in the 3D view: objects, and what the robot carries."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from viser import SceneNodeHandle
 from viser.transforms import SE3
 
-from zarm_contract.messages import Scene, SceneObject, Voxels
+from zarm_contract.messages import Scene, SceneObject
 from zarm_viewer.drawing import Brush, draw_object
 from zarm_viewer.kinematics import Array
 from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.picking import distance
 
-OBJECT, CARRIED, SEEN = (120, 144, 176), (230, 160, 60), (150, 130, 170)
+OBJECT, CARRIED = (120, 144, 176), (230, 160, 60)
 
 
 class SceneView:
@@ -24,7 +24,6 @@ class SceneView:
     def __init__(self, panels: PanelContext, nodes: Mapping[str, str], tip: str, meshes: tuple[Path, ...]) -> None:
         self._panels, self._nodes, self._tip, self._meshes = panels, nodes, tip, meshes
         self._drawn: dict[str, tuple[SceneObject, SceneNodeHandle | None]] = {}
-        self._voxels: dict[str, tuple[Voxels, SceneNodeHandle]] = {}
 
     def draw(self, scene: Scene) -> None:
         """Show this scene."""
@@ -45,16 +44,6 @@ class SceneView:
                 self._drawn[node] = item, handle
                 if handle is None:
                     self._panels.note(f"{name} is not drawn: its mesh is in none of the viewer's --meshes folders")
-
-    def draw_voxels(self, blocks: Mapping[str, Voxels]) -> None:
-        """Show what cameras see."""
-        for name in [name for name, (item, _) in self._voxels.items() if blocks.get(name) is not item]:
-            self._voxels.pop(name)[1].remove()
-        brush = Brush(self._panels.server.scene, SEEN, 0.9)
-        for name, item in blocks.items():
-            if name not in self._voxels:
-                at = SE3.from_translation(np.array(item.position))
-                self._voxels[name] = item, brush.voxels(f"{self._panels.root}/map/{name}", item, at)
 
     def place(self, name: str, at: SE3) -> None:
         """Show an object at another pose during a drag; the next scene has its true pose."""

@@ -61,6 +61,7 @@ class News:
     grippers: tuple[GripperState, ...] = ()
     cameras: Cameras | None = None
     images: Mapping[str, bytes] = field(default_factory=dict)
+    masks: Mapping[str, bytes] = field(default_factory=dict)
     simulated: PhysicsObjects | None = None
     physics: PhysicsState | None = None
 
@@ -76,8 +77,9 @@ class Watching:
     _goals: dict[str, GoalState] = field(default_factory=dict)
     _grippers: dict[str, GripperState] = field(default_factory=dict)
     _images: dict[str, bytes] = field(default_factory=dict)
+    _masks: dict[str, bytes] = field(default_factory=dict)
     _images_taken: float = -math.inf
-    _end_images: Callable[[], None] | None = None
+    _end_images: Callable[[], object] | None = None
     _tracked: tuple[GoalState, JointState, float] | None = None
     """The newest state of a goal, the joints when it came, and their age then (s)."""
 
@@ -116,8 +118,10 @@ class Watching:
             grippers, self._grippers = tuple(self._grippers.values()), {}
             tracked, self._tracked = self._tracked, None
             images: dict[str, bytes] = {}
+            masks: dict[str, bytes] = {}
             if time.monotonic() - self._images_taken >= _MAP_PERIOD:
                 images, self._images, self._images_taken = self._images, {}, time.monotonic()
+                masks, self._masks = self._masks, {}
         joints = self._new_joints("joints", self._joints.received(), joint_names)
         preview = self._new_joints("preview", self._preview.received(), joint_names)
         return News(
@@ -130,6 +134,7 @@ class Watching:
             tracking_error=None if tracked is None else tracking_error(*tracked, joint_names),
             voxels=self._new_voxels(time.monotonic()),
             images=images,
+            masks=masks,
             physics=self._new_physics(),
             **newest,
         )
@@ -171,7 +176,8 @@ class Watching:
     def _choose_images(self) -> None:
         bus, keys = self.robot.connection.bus, self.robot.connection.keys
         if self.seen() and self._end_images is None:
-            self._end_images = bus.listen(keys.depth("*"), self._put_image)
+            ends = bus.listen(keys.depth("*"), self._put_image), bus.listen(keys.mask("*"), self._put_mask)
+            self._end_images = lambda: [end() for end in ends]
         elif not self.seen() and self._end_images is not None:
             self._end_images()
             self._end_images = None
@@ -179,6 +185,10 @@ class Watching:
     def _put_image(self, key: str, payload: bytes) -> None:
         with self._lock:
             self._images[key.rpartition("/")[2]] = payload
+
+    def _put_mask(self, key: str, payload: bytes) -> None:
+        with self._lock:
+            self._masks[key.rpartition("/")[2]] = payload
 
     def _put_gripper(self, _: str, state: GripperState) -> None:
         with self._lock:

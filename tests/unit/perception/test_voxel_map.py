@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
+from zarm_contract.image import COUNTS, OF_ROBOT
 from zarm_contract.messages import Cuboid, Cylinder, Primitive, Sphere
 from zarm_contract.robot import load_robot
 from zarm_geometry import rows
@@ -411,3 +412,18 @@ def test_a_saved_map_that_does_not_fit_is_refused_and_nothing_changes(change: di
     with pytest.raises(InvalidRequest, match=re.escape(why)):
         load(voxels, save(voxels).model_copy(update=change))
     np.testing.assert_array_equal(voxels.states, before)
+
+
+def test_the_mask_says_what_of_an_image_is_in_the_map() -> None:
+    eye = looking((1.8, 0.3, 0.9), (0.0, 0.0, 0.4))
+    robot = RobotShapes(M1013).at(HOME)
+    depth = image(eye, np.concatenate((robot.parts, rows.primitives([WALL]))))
+    voxels = VoxelMap(np.array((-1.0, -1.0, -0.25)), np.array((1.0, 1.0, 1.25)), 0.02)
+    seen = voxels.integrate(depth, eye, robot, 0.03)
+    mask = seen.mask()
+    assert mask.shape == (HEIGHT, WIDTH)
+    assert np.count_nonzero(mask == OF_ROBOT) == seen.robot > 500
+    points = eye.place + depth[..., None] * rays(eye)
+    away = rows.distances(points[mask == COUNTS], robot.parts).min(axis=1)
+    assert away.min() > 0.03 - 1e-3
+    assert not np.any(mask[~np.isfinite(depth)] == OF_ROBOT)
