@@ -12,7 +12,7 @@ from viser import CameraFrustumHandle, SceneNodeHandle
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.image import COUNTS, MASK_COLUMNS, OF_ROBOT, decode_color, decode_image
-from zarm_contract.messages import Camera, Cameras
+from zarm_contract.messages import Camera, Cameras, Intrinsics
 from zarm_viewer.kinematics import Array
 from zarm_viewer.panel_context import PanelContext
 
@@ -51,7 +51,7 @@ class CameraView:
                 self._masks[name] = np.frombuffer(pixels, np.uint8).reshape(header.height, header.width)
         for name, payload in images.items():
             camera, handle = self._drawn.get(name, (None, None))
-            if camera is not None and isinstance(handle, CameraFrustumHandle):
+            if camera is not None and camera.intrinsics is not None and isinstance(handle, CameraFrustumHandle):
                 try:
                     depth = thinned(payload)
                 except InvalidRequest:  # the perception says what is wrong with it
@@ -61,13 +61,11 @@ class CameraView:
                 if mask is None or mask.shape != depth.shape:
                     mask = np.full(depth.shape, COUNTS, np.uint8)
                 handle.image = shaded(depth, mask, camera)
-                self._draw_points(handle, depth, mask, camera)
-
-    def _draw_points(self, handle: SceneNodeHandle, depth: Array, mask: NDArray[np.uint8], camera: Camera) -> None:
-        points, colours = cloud(depth[::_POINT_STEP, ::_POINT_STEP], mask[::_POINT_STEP, ::_POINT_STEP], camera)
-        self._panels.server.scene.add_point_cloud(
-            f"{handle.name}/points", points, colours, point_size=0.004, precision="float32"
-        )
+                fewer = np.s_[::_POINT_STEP, ::_POINT_STEP]
+                points, colours = cloud(depth[fewer], mask[fewer], camera.intrinsics, camera.far)
+                self._panels.server.scene.add_point_cloud(
+                    f"{handle.name}/points", points, colours, point_size=0.004, precision="float32"
+                )
 
     def _add(self, camera: Camera) -> SceneNodeHandle:
         api, size = self._panels.server.scene, camera.intrinsics
@@ -109,11 +107,11 @@ def shaded(depth: Array, mask: NDArray[np.uint8], camera: Camera) -> NDArray[np.
     return np.where((mask == OF_ROBOT)[..., None], tinted, grey)
 
 
-def cloud(depth: Array, mask: NDArray[np.uint8], camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """The points (n, 3) of depths (h, w) in the frame of the camera, and their colours (n, 3)."""
-    size = camera.intrinsics
-    assert size is not None, "a camera with a frustum has intrinsics"
-    rows, columns = np.nonzero((depth > 0.0) & (depth <= camera.far))
+def cloud(
+    depth: Array, mask: NDArray[np.uint8], size: Intrinsics, far: float
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """The points (n, 3) of depths (h, w) up to `far` (m), in the frame of the camera, and their colours (n, 3)."""
+    rows, columns = np.nonzero((depth > 0.0) & (depth <= far))
     z, step = depth[rows, columns], size.width / depth.shape[1]
     x, y = (columns * step - size.cx) / size.fx * z, (rows * step - size.cy) / size.fy * z
     kinds = mask[rows, columns]

@@ -19,6 +19,8 @@ from zarm_viewer.panel_context import PanelContext
 NEW, OLD = (250, 176, 5), (150, 130, 170)
 FADES = 10.0
 """Age (s) at which a voxel has the colour OLD."""
+_OPENING = 2.0
+"""What comes in this time (s) after the page was opened may be of any age, and has the colour OLD."""
 _PERIOD = 0.5
 """Least time (s) between two changes of the colours."""
 
@@ -38,11 +40,12 @@ class VoxelView:
     def __init__(self, panels: PanelContext) -> None:
         self._panels = panels
         self._blocks: dict[str, _Block] = {}
-        self._begun = self._coloured_at = -math.inf
+        self._begun, self._coloured_at = math.inf, -math.inf
 
     def draw(self, blocks: Mapping[str, Voxels]) -> None:
         """Show this map."""
         now = time.monotonic()
+        self._begun = min(self._begun, now)
         gone = {
             name: self._blocks.pop(name)
             for name, block in [*self._blocks.items()]
@@ -54,7 +57,6 @@ class VoxelView:
             if name not in self._blocks:
                 before = gone[name].since if name in gone else np.full((BLOCK, BLOCK, BLOCK), np.nan)
                 self._blocks[name] = self._add(name, item, before, now)
-        self._begun = now if self._begun == -math.inf else self._begun
 
     def fade(self) -> None:
         """Let colours follow the ages."""
@@ -66,7 +68,7 @@ class VoxelView:
             self._coloured_at = now
 
     def _add(self, name: str, item: Voxels, before: Array, now: float) -> _Block:
-        opening = self._begun == -math.inf  # what the page finds then may be of any age
+        opening = now - self._begun < _OPENING
         since, cells = np.full_like(before, np.nan), np.array(item.cells, dtype=np.intp)
         known = _at(before, item)
         times = np.where(np.isnan(known), -math.inf if opening else now, known)

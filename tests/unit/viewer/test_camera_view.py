@@ -43,7 +43,8 @@ def test_the_robot_and_noise_are_coloured(depth: np.ndarray) -> None:
     image = shaded(metres, mask, CAMERA)
     assert len({*image[-1, 0].tolist()}) > 1, "the robot is not grey"
     assert len({*image[-1, 1].tolist()}) == 1
-    points, colours = cloud(metres, mask, CAMERA)
+    assert CAMERA.intrinsics is not None
+    points, colours = cloud(metres, mask, CAMERA.intrinsics, CAMERA.far)
     assert len(points) == np.count_nonzero(metres)
     robot, noise, rest = points[-160], points[-159], points[-1]
     assert tuple(colours[-160]) == ROBOT
