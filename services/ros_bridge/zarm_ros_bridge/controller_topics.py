@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from zarm.connection import ANSWER_SECONDS
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import ExecuteRequest, ExecutorState
-from zarm_ros_bridge.convert.joint_trajectories import trajectory_of
+from zarm_ros_bridge.convert.joint_trajectories import starts_in, trajectory_of
 from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
@@ -27,19 +27,21 @@ _UNSEEN = 0.5
 
 
 class ControllerTopics:
-    """`joint_trajectory` takes the place of what runs, as for a controller, and nobody hears how it ends; one without points stops the robot.
+    """`joint_trajectory` takes the place of what runs at its stamp, and of one that has not begun yet, as for a controller, and nobody hears how it ends;
+    one without points stops the robot.
     `controller_state` is published at 50 Hz while somebody subscribes to it.
     """
 
     def __init__(self, ros: Ros, engine: Engine, frames: Frames) -> None:
         self._ros, self._engine, self._frames = ros, engine, frames
         self._state: ExecutorState | None = None
+        self._next: threading.Timer | None = None
         self._ended = threading.Event()
         self._publisher = ros.node.create_publisher(JointTrajectoryControllerState, NAME.format("controller_state"), 1)
         ros.listen(
             JointTrajectory,
             NAME.format("joint_trajectory"),
-            lambda message: ros.run(lambda: self._move(message)),
+            self._receive,
             1,
         )
         engine.bus.watch(engine.keys.executor_state, self._on_state)
@@ -54,9 +56,26 @@ class ControllerTopics:
     ) -> None:
         self._ended.set()
         self._thread.join()
+        self._withdraw()
 
     def _on_state(self, _key: str, state: ExecutorState) -> None:
         self._state = state
+
+    def _receive(self, message: Any) -> None:
+        self._withdraw()
+        try:
+            wait = starts_in(message, "trajectory")
+        except ZarmError as error:
+            self._warn(error)
+            return
+        self._next = threading.Timer(wait, self._ros.run, [lambda: self._move(message)])
+        self._next.start()
+
+    def _withdraw(self) -> None:
+        """Forget a trajectory that has not begun."""
+        if self._next is not None:
+            self._next.cancel()
+            self._next.join()
 
     def _move(self, message: Any) -> None:
         client = self._engine.client
@@ -68,7 +87,10 @@ class ControllerTopics:
             if motion is not None:
                 client.start(ExecuteRequest(trajectory=motion, preempt=True), timeout=ANSWER_SECONDS)
         except ZarmError as error:
-            self._ros.node.get_logger().warning(f"{NAME.format('joint_trajectory')}: {error}")
+            self._warn(error)
+
+    def _warn(self, error: ZarmError) -> None:
+        self._ros.node.get_logger().warning(f"{NAME.format('joint_trajectory')}: {error}")
 
     def _publish(self) -> None:
         period = _UNSEEN

@@ -13,8 +13,8 @@ from zarm.connection import ANSWER_SECONDS
 from zarm_contract.errors import Cancelled, ExecutionFailed, InvalidRequest, ZarmError, from_problem
 from zarm_contract.messages import ExecuteRequest, GoalState
 from zarm_ros_bridge.action_servers import Action, ActionServers
-from zarm_ros_bridge.convert.joint_trajectories import trajectory_of
-from zarm_ros_bridge.convert.times import NANOSECONDS, ros_time
+from zarm_ros_bridge.convert.joint_trajectories import starts_in, trajectory_of
+from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
 from zarm_ros_bridge.goal_tolerances import GoalTolerances
@@ -24,8 +24,6 @@ from zarm_ros_bridge.ros import Ros
 NAME = "zarm_controller/follow_joint_trajectory"
 """Relative to the namespace of the bridge."""
 _Result = FollowJointTrajectory.Result
-_LATEST = 60.0
-"""How long (s) after now a trajectory may begin."""
 _STEP = 0.02
 
 
@@ -54,31 +52,16 @@ class TrajectoryAction:
             return _Result(error_code=_Result.SUCCESSFUL)
         tolerances = GoalTolerances(goal)
         motion = trajectory_of(goal.trajectory, self._engine.joints, self._frames.joints, "trajectory")
-        self._wait_for(goal.trajectory.header.stamp, 0.0 if motion is None else motion.duration, run)
+        begin = time.monotonic() + starts_in(goal.trajectory, "trajectory")
+        while (left := begin - time.monotonic()) > 0.0:
+            run.go_on()
+            time.sleep(min(_STEP, left))
         if motion is not None:
             run.go_on()
             self._engine.client.start(ExecuteRequest(trajectory=motion), goal_id=run.name, timeout=ANSWER_SECONDS)
             self._follow(run, _Watch(run.handle, self._engine, self._frames, tolerances))
         tolerances.check_end(dict(zip(self._engine.joints, self._frames.joints(), strict=True)))
         return _Result(error_code=_Result.SUCCESSFUL)
-
-    def _wait_for(self, stamp: Any, duration: float, run: Run) -> None:
-        """Wait for the time at which a trajectory begins; 0 means now. Raises InvalidRequest if it is over."""
-        begin = stamp.sec + stamp.nanosec / NANOSECONDS
-        now = time.time()
-        if not begin:
-            return
-        if begin + duration < now:
-            raise InvalidRequest(
-                "the trajectory ended before it came; send it earlier", field="trajectory.header.stamp"
-            )
-        if begin > now + _LATEST:
-            raise InvalidRequest(
-                f"the trajectory begins {begin - now:.0f} s from now; send it later", field="trajectory.header.stamp"
-            )
-        while time.time() < begin:
-            run.go_on()
-            time.sleep(min(_STEP, max(begin - time.time(), 0.0)))
 
     def _follow(self, run: Run, watch: _Watch | None) -> None:
         fault: ExecutionFailed | None = None

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Duration
+from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory
 from control_msgs.msg import JointTolerance, JointTrajectoryControllerState
 from rclpy.action import ActionClient
@@ -165,6 +166,25 @@ def test_tolerance_of_an_unknown_joint_is_refused_by_name(arm: Stack, controller
         assert (status, result.error_code) == (ABORTED, R.INVALID_JOINTS)
         assert "'joint_9' is not a joint of the trajectory" in result.error_string
     assert np.allclose(robot.joint_state().position, HOME, atol=1e-3)
+
+
+def test_trajectory_on_the_topic_begins_at_its_stamp_unless_another_one_comes(arm: Stack, robot: Robot) -> None:
+    node, begun = arm.ros.node, list[float]()
+    publisher = node.create_publisher(JointTrajectory, "/zarm_controller/joint_trajectory", 1)
+    arm.bus.subscribe(
+        KEYS.executor_state, lambda _, state: begun.append(time.time()) if state.mode == "running" else None
+    )
+    try:
+        eventually(publisher.get_subscription_count, "the controller is there")
+        withdrawn, wanted = goal((2.0, [HOME[0] - 0.4, *HOME[1:]])).trajectory, goal((2.0, THERE)).trajectory  # type: ignore[attr-defined]
+        for made, later in ((withdrawn, 0.6), (wanted, 1.2)):
+            stamp = time.time() + later
+            made.header.stamp = Time(sec=int(stamp), nanosec=int(stamp % 1 * 1e9))
+            publisher.publish(made)
+        eventually(lambda: np.allclose(robot.joint_state().position, THERE, atol=1e-3), "the robot is there")
+        assert begun[0] >= stamp
+    finally:
+        destroyed(node, node.destroy_publisher, publisher)
 
 
 def test_topics_of_a_controller_move_the_robot_and_tell_how_it_follows(arm: Stack, robot: Robot) -> None:

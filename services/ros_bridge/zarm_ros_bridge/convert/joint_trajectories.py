@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from time import time as unix_time
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from zarm_ros_bridge.convert.times import NANOSECONDS
 Array = NDArray[np.float64]
 
 MOST_POINTS = 100_000
+_LATEST = 60.0
+"""How long (s) after now a trajectory may begin."""
 _THERE = 0.01
 """How far (rad) a joint may be from where a trajectory without duration has it."""
 
@@ -75,6 +78,23 @@ def trajectory_of(
         velocity=tuple(map(tuple, velocity.tolist())),
         acceleration=tuple(map(tuple, acceleration.tolist())),
     )
+
+
+def starts_in(message: Any, field: str) -> float:
+    """In how long (s) a `trajectory_msgs/JointTrajectory` begins by its stamp: 0 for one without, or that has begun. Raises InvalidRequest for one that is
+    over, or begins more than a minute from now.
+    """
+    stamp = message.header.stamp
+    begin, now = stamp.sec + stamp.nanosec / NANOSECONDS, unix_time()
+    if not begin:
+        return 0.0
+    if begin + (_seconds(message.points[-1].time_from_start) if message.points else 0.0) < now:
+        raise InvalidRequest("the trajectory ended before it came; send it earlier", field=f"{field}.header.stamp")
+    if begin > now + _LATEST:
+        raise InvalidRequest(
+            f"the trajectory begins {begin - now:.0f} s from now; send it later", field=f"{field}.header.stamp"
+        )
+    return max(0.0, begin - now)
 
 
 def _rows(points: Sequence[Any], name: str, order: Sequence[int], field: str) -> Array | None:
