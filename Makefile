@@ -95,21 +95,21 @@ clean:
 	rm -rf $(VENV) site .cache .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
 	find libs services tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# One stamp for the packages that run zarm, one for those that develop it; the second includes the first.
+# One stamp for the packages that run zarm, one for those that develop it; the second includes the first. Python compiles what it imports, later.
 $(VENV)/.planner: $(PINNED) | $(BIN)/python
 	@echo "installing zarm into $(VENV) ..."
-	@$(PIP) install -c constraints.txt -e ".[planner,import,viewer,sim]"
+	@$(PIP) install --no-compile -c constraints.txt -e ".[planner,import,viewer,sim]"
 	@touch $@
 
 $(VENV)/.dev: $(PINNED) | $(BIN)/python
 	@echo "installing zarm and its tools into $(VENV) ..."
-	@$(PIP) install -c constraints.txt -e ".[planner,dev]"
-	@$(PIP) install --no-deps lerobot==0.4.4 -e libs/lerobot_robot_zarm # without what it trains with
+	@$(PIP) install --no-compile -c constraints.txt -e ".[planner,dev]"
+	@$(PIP) install --no-compile --no-deps lerobot==0.4.4 -e libs/lerobot_robot_zarm # without what it trains with
 	@touch $@ $(VENV)/.planner
 
 $(VENV)/.ros_packages: $(PINNED) | $(BIN)/python
 	@echo "installing ROS 2 into $(VENV) ..."
-	@$(PIP) install -c constraints.txt -e ".[ros,ros-messages]" || { echo "The ROS bridge is left out: pip finds no packages of ROS 2 \
+	@$(PIP) install --no-compile -c constraints.txt -e ".[ros,ros-messages]" || { echo "The ROS bridge is left out: pip finds no packages of ROS 2 \
 	for this machine and Python; all else works without, and where ROS 2 Jazzy is installed colcon builds the messages."; exit 1; }
 	@touch $@
 
