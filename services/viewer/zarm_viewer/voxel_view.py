@@ -93,4 +93,4 @@ def _at(since: Array, item: Voxels) -> Array:
 def colours(since: Array, now: float) -> NDArray[np.uint8]:
     """The colours (n, 3) of voxels that have been occupied `since` (n,)."""
     share = np.clip((now - since) / FADES, 0.0, 1.0)[:, None]
-    return np.rint((1.0 - share) * np.array(NEW) + share * np.array(OLD)).astype(np.uint8)
+    return np.asarray(np.rint((1.0 - share) * np.array(NEW) + share * np.array(OLD)), np.uint8)

@@ -128,6 +128,19 @@ def test_with_a_margin_that_its_links_never_keep_from_each_other_a_robot_still_m
     session.assert_sound()
 
 
+@pytest.mark.parametrize("beyond", [1e-13, 0.02])
+def test_joint_beyond_its_limit_comes_back_and_does_not_keep_the_others(beyond: float) -> None:
+    start = START.copy()
+    start[3] = LIMITS.upper[3] + beyond
+    outwards, inwards = Session(start=start), Session(start=start)
+    outwards.follow(JointSpeedTarget(np.array([0.3, 0.0, 0.0, 0.3, 0.0, 0.0])), 1.0)
+    commanded = np.array(outwards.states)[:, 0]
+    assert commanded[-1, 0] > start[0] + 0.2, "another joint moves"
+    assert commanded[:, 3].max() <= start[3] + 1e-9, "it does not go on"
+    inwards.follow(JointSpeedTarget(np.array([0.0, 0.0, 0.0, -0.3, 0.0, 0.0])), 1.0)
+    assert inwards.states[-1][0, 3] < LIMITS.upper[3] - 0.2
+
+
 def test_a_target_that_is_stale_brakes_to_rest_and_is_named() -> None:
     session = Session()
     session.follow(TwistTarget(np.array([0.0, 0.1, 0.0, 0.0, 0.0, 0.0])), 0.5)

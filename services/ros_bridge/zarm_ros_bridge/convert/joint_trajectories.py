@@ -94,7 +94,7 @@ def starts_in(message: Any, field: str) -> float:
         raise InvalidRequest(
             f"the trajectory begins {begin - now:.0f} s from now; send it later", field=f"{field}.header.stamp"
         )
-    return max(0.0, begin - now)
+    return float(max(0.0, begin - now))
 
 
 def _rows(points: Sequence[Any], name: str, order: Sequence[int], field: str) -> Array | None:

@@ -43,6 +43,10 @@ _CROSSING = 0.02
 """The smallest singular value may always fall at this rate (1/s): the robot crosses a singularity slowly."""
 
 
+_ROUNDING = 1e-9
+"""A joint that has moved less than this (rad) has stayed."""
+
+
 class JointLimits(NamedTuple):
     """Limits of joints, each (J,), as in `zarm_trajectory.limits`."""
 
@@ -56,7 +60,7 @@ class JointLimits(NamedTuple):
 class Braking(NamedTuple):
     """A step and the braking after it: the state (3, J) one period later, the `phases` of the braking from there, and
     positions (N, J) at `times` (N,) from before the step to rest; `inside` tells whether all are within the joints'
-    position limits.
+    position limits, or no further beyond them than at the beginning.
     """
 
     after: Array
@@ -184,9 +188,13 @@ def braked_after(state: Array, after: Array, limits: JointLimits) -> Braking:
     times[1:] = PERIOD + when
     positions[0], positions[1:] = state[0], sampled(begins, states, jerks, when)[0]
     inside = True
-    for k in range(count + 2):
-        for j in range(joints):
-            inside = inside and limits.lower[j] <= positions[k, j] <= limits.upper[j]
+    for j in range(
+        joints
+    ):  # one that is beyond its limit, if only by rounding, may stay and come back, but does not go on
+        least = limits.lower[j] if state[0, j] >= limits.lower[j] else state[0, j] - _ROUNDING
+        most = limits.upper[j] if state[0, j] <= limits.upper[j] else state[0, j] + _ROUNDING
+        for k in range(count + 2):
+            inside = inside and least <= positions[k, j] <= most
     return Braking(after, begins, states, jerks, times, positions, inside)
 
 
