@@ -182,6 +182,7 @@ def test_trajectory_on_the_topic_begins_at_its_stamp_unless_another_one_comes(ar
             made.header.stamp = Time(sec=int(stamp), nanosec=int(stamp % 1 * 1e9))
             publisher.publish(made)
         eventually(lambda: np.allclose(robot.joint_state().position, THERE, atol=1e-3), "the robot is there")
+        eventually(lambda: robot.state().mode == "idle", "it stands")
         assert begun[0] >= stamp
     finally:
         destroyed(node, node.destroy_publisher, publisher)

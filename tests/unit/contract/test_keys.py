@@ -25,6 +25,7 @@ def every_key(robot: str) -> dict[str, str]:
         "output_state": keys.output_state("*"),
         "color": keys.color("*"),
         "depth": keys.depth("*"),
+        "mask": keys.mask("*"),
         "cloud": keys.cloud("*"),
         "voxels": keys.voxels("*"),
     }
