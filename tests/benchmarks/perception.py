@@ -202,7 +202,7 @@ def main() -> None:
         table.add_row(f"servo, ms{which}", *(f"{ms * value:.1f}" for value in spread(to_servo)))
         table.add_row(f"blocks that change{which}", *(f"{value:.0f}" for value in spread(changed)))
     console.print(table)
-    quick, took = np.array(pairs).T
+    quick, took = np.array(pairs or [(np.nan, np.nan)]).T
     table = Table(
         "plans",
         "solved: map, boxes",
