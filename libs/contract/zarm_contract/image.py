@@ -16,13 +16,17 @@ PIXEL_BYTES: Mapping[str, int] = {"16UC1": 2, "32FC1": 4}
 COLOR_BYTES: Mapping[str, int] = {"mono8": 1, "rgb8": 3}
 """Bytes of a pixel in each encoding of colour."""
 COUNTS, OF_ROBOT = 255, 128
-"""What a pixel of a mask is: in the map, and the robot, which is left out; 0 is one without a depth, or noise."""
-MASK_COLUMNS = 160
-"""Most columns of a mask: of a larger image it has every second pixel of every second row, every third, ..."""
+"""What a pixel of a mask is: one that counts for the map, and one of the robot, which is left out; 0 is one without a depth, or noise."""
+_MASK_COLUMNS = 160
 POINT_BYTES = 12
 """Bytes of a point: x, y, z."""
 _MOST = 1024
 """Longest header, in bytes."""
+
+
+def mask_step(width: int) -> int:
+    """A mask has every so many pixels, in a row and in a column, of an image of this width."""
+    return -(-width // _MASK_COLUMNS)
 
 
 def encode_image(header: ImageHeader | ColorHeader | CloudHeader, data: bytes) -> bytes:

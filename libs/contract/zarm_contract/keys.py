@@ -503,7 +503,7 @@ class Keys:
         BinaryTopic(
             "perception/mask/<camera>",
             ColorHeader,
-            "What the map makes of a depth image, twice a second, thinned out to 160 columns: 255 where a pixel is in it, 128 where it is the robot, 0 where it has no depth or is noise.",
+            "What the map makes of a depth image, twice a second, thinned out to 160 columns: 255 where a pixel counts, 128 where it is the robot, 0 where it has no depth or is noise.",
             by=("perception",),
             droppable=True,
         )

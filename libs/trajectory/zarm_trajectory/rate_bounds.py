@@ -183,9 +183,8 @@ def _remaining(most: Array, least: Array, *uses: tuple[Array, Array]) -> Array:
     flat = (len(most), -1)
     most, least = most.reshape(flat), least.reshape(flat)
     remaining = np.empty((len(most), _NODES + 1))
-    for node in range(
-        _NODES + 1
-    ):  # all at once they would be as large as what `LARGE` of the executor gives back to the system
+    # All nodes at once make arrays that the executor's allocator, see its `LARGE`, gets from the system and gives back each time.
+    for node in range(_NODES + 1):
         left = most
         for used, share in uses:
             left = left - used.reshape(flat) * share[..., node, None]

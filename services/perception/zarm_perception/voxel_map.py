@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_contract.image import COUNTS, MASK_COLUMNS, OF_ROBOT
+from zarm_contract.image import COUNTS, OF_ROBOT, mask_step
 from zarm_perception.kernels.integration import (
     BLOCK,
     FREE,
@@ -60,8 +60,8 @@ class Seen:
     of_robot: Mask
 
     def mask(self) -> NDArray[np.uint8]:
-        """What each pixel is, see `COUNTS`, thinned out to `MASK_COLUMNS`."""
-        step = -(-self.depth.shape[1] // MASK_COLUMNS)
+        """What each pixel is, see `COUNTS`, thinned out by `mask_step`."""
+        step = mask_step(self.depth.shape[1])
         counts = np.where(self.depth[::step, ::step] > 0.0, np.uint8(COUNTS), np.uint8(0))
         return np.where(self.of_robot[::step, ::step] > 0, np.uint8(OF_ROBOT), counts)
 

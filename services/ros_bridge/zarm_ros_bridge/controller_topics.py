@@ -62,12 +62,12 @@ class ControllerTopics:
         self._state = state
 
     def _receive(self, message: Any) -> None:
-        self._withdraw()
         try:
             wait = starts_in(message, "trajectory")
         except ZarmError as error:
             self._warn(error)
             return
+        self._withdraw()
         self._next = threading.Timer(wait, self._ros.run, [lambda: self._move(message)])
         self._next.start()
 

@@ -1,4 +1,4 @@
-"""The cameras in the 3D view: where each is, what it looks at, its newest depth image, and the points in it with what the map leaves out."""
+"""The cameras in the 3D view: where each is, what it looks at, and its newest depth image with what the map leaves out."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from viser import CameraFrustumHandle, SceneNodeHandle
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.image import COUNTS, MASK_COLUMNS, OF_ROBOT, decode_color, decode_image
+from zarm_contract.image import COUNTS, OF_ROBOT, decode_color, decode_image, mask_step
 from zarm_contract.messages import Camera, Cameras, Intrinsics
 from zarm_viewer.kinematics import Array
 from zarm_viewer.panel_context import PanelContext
@@ -62,7 +62,13 @@ class CameraView:
                     mask = np.full(depth.shape, COUNTS, np.uint8)
                 handle.image = shaded(depth, mask, camera)
                 fewer = np.s_[::_POINT_STEP, ::_POINT_STEP]
-                points, colours = cloud(depth[fewer], mask[fewer], camera.intrinsics, camera.far)
+                points, colours = cloud(
+                    depth[fewer],
+                    mask[fewer],
+                    camera.intrinsics,
+                    camera.far,
+                    _POINT_STEP * mask_step(camera.intrinsics.width),
+                )
                 self._panels.server.scene.add_point_cloud(
                     f"{handle.name}/points", points, colours, point_size=0.004, precision="float32"
                 )
@@ -92,7 +98,7 @@ def thinned(payload: bytes) -> Array:
     """The depths (h, w) in m of an image on the bus, thinned out as its mask; 0 or NaN where there is none. Raises InvalidRequest for one that cannot be read."""
     header, pixels = decode_image(payload)
     kind, unit = ("<u2", 0.001) if header.encoding == "16UC1" else ("<f4", 1.0)
-    step = -(-header.width // MASK_COLUMNS)
+    step = mask_step(header.width)
     depth = np.frombuffer(pixels, kind).reshape(header.height, header.width)[::step, ::step]
     return np.asarray(unit * depth.astype(float))
 
@@ -108,11 +114,11 @@ def shaded(depth: Array, mask: NDArray[np.uint8], camera: Camera) -> NDArray[np.
 
 
 def cloud(
-    depth: Array, mask: NDArray[np.uint8], size: Intrinsics, far: float
+    depth: Array, mask: NDArray[np.uint8], size: Intrinsics, far: float, step: int
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """The points (n, 3) of depths (h, w) up to `far` (m), in the frame of the camera, and their colours (n, 3)."""
+    """The points (n, 3) of depths (h, w) up to `far` (m), in the frame of the camera, and their colours (n, 3). The depths are those of every `step`-th pixel."""
     rows, columns = np.nonzero((depth > 0.0) & (depth <= far))
-    z, step = depth[rows, columns], size.width / depth.shape[1]
+    z = depth[rows, columns]
     x, y = (columns * step - size.cx) / size.fx * z, (rows * step - size.cy) / size.fy * z
     kinds = mask[rows, columns]
     colours = np.select(

@@ -44,7 +44,7 @@ def test_the_robot_and_noise_are_coloured(depth: np.ndarray) -> None:
     assert len({*image[-1, 0].tolist()}) > 1, "the robot is not grey"
     assert len({*image[-1, 1].tolist()}) == 1
     assert CAMERA.intrinsics is not None
-    points, colours = cloud(metres, mask, CAMERA.intrinsics, CAMERA.far)
+    points, colours = cloud(metres, mask, CAMERA.intrinsics, CAMERA.far, 4)
     assert len(points) == np.count_nonzero(metres)
     robot, noise, rest = points[-160], points[-159], points[-1]
     assert tuple(colours[-160]) == ROBOT

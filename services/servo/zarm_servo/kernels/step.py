@@ -41,8 +41,6 @@ motion.
 """
 _CROSSING = 0.02
 """The smallest singular value may always fall at this rate (1/s): the robot crosses a singularity slowly."""
-
-
 _ROUNDING = 1e-9
 """A joint that has moved less than this (rad) has stayed."""
 
@@ -188,9 +186,8 @@ def braked_after(state: Array, after: Array, limits: JointLimits) -> Braking:
     times[1:] = PERIOD + when
     positions[0], positions[1:] = state[0], sampled(begins, states, jerks, when)[0]
     inside = True
-    for j in range(
-        joints
-    ):  # one that is beyond its limit, if only by rounding, may stay and come back, but does not go on
+    for j in range(joints):
+        # One that is beyond its limit, if only by rounding, may stay and come back, but does not go on.
         least = limits.lower[j] if state[0, j] >= limits.lower[j] else state[0, j] - _ROUNDING
         most = limits.upper[j] if state[0, j] <= limits.upper[j] else state[0, j] + _ROUNDING
         for k in range(count + 2):
