@@ -92,13 +92,19 @@ def flat(depth: float, encoding: str, *, big: bool = False, padding: int = 0) ->
 def test_images_of_a_ros_topic_become_voxels(encoding: str, big: bool, padding: int, lab: Lab, node: Node) -> None:
     publisher = node.create_publisher(Image, TOPIC, qos_profile_sensor_data)
     lab.robot.perception.add(camera())
+    masks: list[bytes] = []
+    end = lab.bus.listen(KEYS.mask("front"), lambda _, payload: masks.append(payload))
 
     def seen() -> bool:
         lab.stand()
         publisher.publish(flat(0.8, encoding, big=big, padding=padding))
-        return sum(len(one.cells) for one in lab.blocks.objects.values()) > 400
+        return sum(len(one.cells) for one in lab.blocks.objects.values()) > 400 and len(masks) > 1
 
-    eventually(seen, "the camera sees half a metre by forty centimetres")
+    eventually(
+        seen,
+        "the camera sees half a metre by forty centimetres, and it is shown what the map makes of small images too",
+    )
+    end()
     lab.expect_a_plane_below_the_camera()
 
 

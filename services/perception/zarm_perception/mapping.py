@@ -179,7 +179,11 @@ class Mapping:
                     images, self._waiting = self._waiting, {}
                 for name, (source, image) in images.items():
                     if self._sources.get(name) is source:  # and not another camera of that name
-                        self._take(source, image)
+                        try:
+                            self._take(source, image)
+                        except Exception as error:  # if this ended, the map would silently be old
+                            log.exception("an image is not in the map camera=%s", name)
+                            source.refused(f"a fault of zarm, see the log: {error}")
             if time.monotonic() >= due:
                 due = time.monotonic() + _STATE_PERIOD
                 self._report(self._state())

@@ -115,8 +115,8 @@ class ColorHeader(ShortMessage):
     """
 
     stamp: float
-    width: Pixels
-    height: Pixels
+    width: Annotated[int, Field(ge=1, le=8192)]
+    height: Annotated[int, Field(ge=1, le=8192)]
     encoding: Literal["mono8", "rgb8"]
 
 
