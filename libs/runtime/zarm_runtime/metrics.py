@@ -22,7 +22,7 @@ Histogram = tuple[Sequence[int], float]
 """The number of values in each bucket, and the sum of all."""
 
 
-DURATIONS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0)
+DURATIONS = (0.001, 0.002, 0.003, 0.004, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0)
 """Bucket bounds (s) of the histograms of `time`: a plan usually takes 5 ms, and its deadline is 5 s."""
 
 

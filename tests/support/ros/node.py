@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
 import rclpy
 from rclpy.context import Context
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 
 from support.harness import PATIENCE, eventually
+from zarm_ros_bridge.rclpy_parts import RCLError
 
 
 @contextmanager
@@ -44,11 +46,19 @@ def spinning(name: str) -> Iterator[Node]:
     node = Node(name, context=context)
     executor = MultiThreadedExecutor(2, context=context)
     executor.add_node(node)
-    thread = threading.Thread(target=executor.spin)
+    ended = threading.Event()
+
+    def spin() -> None:
+        while not ended.is_set():
+            with suppress(InvalidHandle, RCLError):
+                executor.spin()  # fails if a client destroys what the executor is about to wait for
+
+    thread = threading.Thread(target=spin)
     thread.start()
     try:
         yield node
     finally:
+        ended.set()
         executor.shutdown()
         thread.join()
         node.destroy_node()

@@ -34,6 +34,8 @@ DENSE = 1500
 PRECISION = 2e-5
 BETWEEN = 0.001
 """What one sample of the dense look may miss (m)."""
+EARLY = 0.004
+"""A contact may be reported this far (m) ahead: of what is between two samples, the check knows bounds alone."""
 
 
 @cache
@@ -107,7 +109,7 @@ def test_what_is_called_free_keeps_the_margin_by_a_dense_exact_check(robot: str,
         assert verdict.object in {*arm.links, *(item.name for item in objects)}
         if times[1] < 0.005:  # and it is right, but for what may be between two samples
             after = at(np.linspace(end, end + times[1], 50))
-            assert exact.nearest(after).distance < MARGIN + BETWEEN
+            assert exact.nearest(after).distance < MARGIN + EARLY
 
 
 @pytest.mark.lengthy
