@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import zarm
 from support.harness import PATIENCE, ServiceProcess, eventually, router
 from zarm_contract.keys import Keys
-from zarm_contract.messages import DriverFault, PhysicsState
-from zarm_contract.robot import load_robot
+from zarm_contract.messages import DriverFault, PhysicsState, ServoState
+from zarm_contract.robot import ROBOTS, load_robot
 from zarm_runtime.bus import Bus
 
 DOWN = (1.0, 0.0, 0.0, 0.0)
@@ -28,13 +30,17 @@ dynamic:
 class Cell:
     """A robot with mass, its planner and executor, a client, and the truth."""
 
-    def __init__(self, stack: ExitStack, folder: Path, robot: str, *physics: str, strategy: str) -> None:
+    def __init__(
+        self, stack: ExitStack, folder: Path, robot: str, *physics: str, strategy: str, with_servo: bool
+    ) -> None:
         self.endpoint = stack.enter_context(router())
         self.bus = stack.enter_context(Bus(self.endpoint))
         self.keys = Keys(load_robot(robot).descriptor.name)
         self.truth: list[PhysicsState] = []
         self.bus.subscribe(self.keys.physics_state, lambda _, state: self.truth.append(state))
         started = {"physics_sim": physics, "planner": (), "executor": ("--strategy", strategy)}
+        if with_servo:
+            started["servo"] = ()
         for service, arguments in started.items():
             process = ServiceProcess(service, self.endpoint, folder, robot, arguments=arguments)
             stack.enter_context(process).wait_ready(self.bus, self.keys)
@@ -45,14 +51,22 @@ class Cell:
         eventually(lambda: len(self.truth) > event, "the truth is published")
         return self.truth[event]
 
+    def fault(self, **faults: Any) -> None:
+        self.bus.call(self.keys.simulated_fault, DriverFault(**faults), timeout=5.0)
+
+    def servo(self) -> ServoState:
+        return self.bus.read(self.keys.servo_state, timeout=PATIENCE)
+
     def now(self) -> PhysicsState:
         return self.after(len(self.truth))
 
 
 @contextmanager
-def cell_of(folder: Path, robot: str, *physics: str, strategy: str = "joint_trajectory") -> Iterator[Cell]:
+def cell_of(
+    folder: Path, robot: str, *physics: str, strategy: str = "joint_trajectory", with_servo: bool = False
+) -> Iterator[Cell]:
     with ExitStack() as stack:
-        yield Cell(stack, folder, robot, *physics, strategy=strategy)
+        yield Cell(stack, folder, robot, *physics, strategy=strategy, with_servo=with_servo)
 
 
 @pytest.mark.parametrize("strategy", ["joint_speed", "joint_pose", "joint_trajectory"])
@@ -124,11 +138,35 @@ def test_the_health_of_the_driver_says_what_it_assumes(tmp_path: Path) -> None:
 
 def test_it_has_the_faults_of_a_simulated_driver(tmp_path: Path) -> None:
     with cell_of(tmp_path, "doosan_m1013") as cell:
-        cell.bus.call(cell.keys.simulated_fault, DriverFault(silent=True), timeout=5.0)
         plan = cell.robot.plan((0.5, 0.0, 1.5708, 0.0, 1.5708, 0.0))
         with pytest.raises(zarm.ExecutionFailed, match="has reported no new joints"):
-            cell.robot.execute(plan)
-        cell.bus.call(cell.keys.simulated_fault, DriverFault(), timeout=5.0)
+            cell.robot.execute(plan, on_progress=lambda _: cell.fault(silent=True))
+        cell.fault()
+
+
+def test_a_push_is_felt_and_ends_the_motion_in_a_fault(tmp_path: Path) -> None:
+    shutil.copy(ROBOTS / "ur5e.urdf", tmp_path)
+    text = (ROBOTS / "ur5e.yaml").read_text(encoding="utf-8")
+    limits = "external_torque_limits: [25, 25, 25, 8, 8, 8]"
+    (tmp_path / "ur5e.yaml").write_text(f"{text}\nexecution: {{{limits}}}\n", encoding="utf-8")
+    with cell_of(tmp_path, str(tmp_path / "ur5e.yaml"), with_servo=True) as cell:
+        there, back = (0.9, -1.2, 1.2, -1.57, -1.57, 0.0), (-0.9, -1.5, 1.5, -1.57, -1.57, 0.0)
+        assert cell.robot.execute(cell.robot.plan(there)).status == "succeeded", "nothing pushes"
+        assert cell.servo().collision_detection == "on"
+        with pytest.raises(zarm.ExecutionFailed, match="something pushes") as failed:
+            cell.robot.execute(cell.robot.plan(back), on_progress=lambda _: cell.fault(push=(0.0, 0.0, -80.0)))
+        assert failed.value.code == "collision_detected"
+        assert cell.robot.state().mode == "fault"
+        cell.fault()
+
+
+def test_a_driver_without_mass_cannot_be_pushed(endpoint: str, tmp_path: Path) -> None:
+    robot = load_robot("ur5e")
+    with Bus(endpoint) as bus, ServiceProcess("leeloo_sim", endpoint, tmp_path, "ur5e") as process:
+        process.wait_ready(bus, Keys("ur5e"))
+        with pytest.raises(zarm.InvalidRequest, match="this driver has no mass") as refused:
+            bus.call(Keys(robot.descriptor.name).simulated_fault, DriverFault(push=(1.0, 0.0, 0.0)), timeout=5.0)
+        assert refused.value.problem.field == "push"
 
 
 @pytest.mark.parametrize(

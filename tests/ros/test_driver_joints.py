@@ -32,6 +32,7 @@ def drivers(draw: st.DrawFn) -> list[RosJointState]:
         odd = draw(st.integers(0, 4)) == 0
         row = st.lists(numbers if odd else st.floats(-3.0, 3.0), min_size=len(names), max_size=len(names))
         message = RosJointState(name=names[::-1] if odd else names, position=draw(row), velocity=draw(row))
+        message.effort = draw(st.just([]) | row | st.lists(numbers, max_size=6))
         if odd:
             message.velocity = message.velocity[: draw(st.integers(0, len(names)))]
         message.header.frame_id = draw(frames) if odd else frame
@@ -58,6 +59,24 @@ def test_a_serialized_message_is_read_as_the_message_itself(messages: list[RosJo
         assert report(driver.read, serialize_message(message)) == report(
             lambda whole: driver_joint_state(whole, JOINTS, JOINTS), message
         )
+
+
+def test_efforts_are_passed_on_where_every_joint_has_one() -> None:
+    for effort, expected in (
+        ((5.0, 6.0, 7.0), (6.0, 7.0, 5.0)),
+        ((5.0, math.nan, 7.0), None),
+        ((), None),
+        ((5.0,), None),
+    ):
+        driver = DriverJointStates(JOINTS, JOINTS)
+        for _ in range(2):  # the second is read by the layout of the first
+            names = ["joint_3", "joint_1", "joint_2"]
+            message = RosJointState(name=names, position=[0.1] * 3, velocity=[0.0] * 3, effort=list(effort))
+            message.header.stamp.sec = 1
+            state = driver.read(serialize_message(message))
+            assert dict(zip(state.joint_names, state.effort or (), strict=False)) == (
+                {} if expected is None else dict(zip(JOINTS, expected, strict=True))
+            )
 
 
 def test_after_a_number_that_is_none_the_next_message_is_read() -> None:

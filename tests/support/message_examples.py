@@ -265,6 +265,9 @@ EXAMPLES: tuple[Message, ...] = (
     # motion
     _POSE,
     m.JointState(stamp=1.75e9, joint_names=("shoulder", "elbow"), position=(0.1, -0.2), velocity=(0.0, 0.05)),
+    m.JointState(
+        stamp=1.75e9, joint_names=("shoulder", "elbow"), position=(0.1, -0.2), velocity=(0.0, 0.05), effort=(31.0, -8.5)
+    ),
     _TRAJECTORY,
     # planner
     _POSE_GOAL,
@@ -495,6 +498,15 @@ EXAMPLES: tuple[Message, ...] = (
         check=0.0008,
         lost_objects=("cart",),
         pose_refused=_PROBLEM,
+        collision_detection="on",
+    ),
+    m.ExternalTorque(
+        stamp=1.75e9,
+        joint_names=("elbow", "shoulder"),
+        torque=(0.4, -31.0),
+        largest=(2.5, 31.0),
+        goal_id="goal-1",
+        joint="shoulder",
     ),
     m.ServoStart(goal_id="jog-1", take_over=True, margin=0.02, velocity_scale=0.5, acceleration_scale=0.25),
     m.ServoEnd(goal_id="jog-1"),
@@ -589,7 +601,15 @@ EXAMPLES: tuple[Message, ...] = (
     m.DriverOutputState(output="vacuum", sequence=7, problem="the valve has no power"),
     m.DriverProgress(sequence=7, fraction=0.5, problem="the controller is inactive"),
     m.DriverFault(
-        stall=True, drop=0.5, delay=0.2, silent=True, die=True, jump=(0.1, -0.2), obstacle=0.03, output="vacuum"
+        stall=True,
+        drop=0.5,
+        delay=0.2,
+        silent=True,
+        die=True,
+        jump=(0.1, -0.2),
+        obstacle=0.03,
+        output="vacuum",
+        push=(0.0, 0.0, -50.0),
     ),
     # physics
     m.BodyPose(name="cube", position=(0.5, 0.0, 0.02), orientation=(0.0, 0.0, 0.0, 1.0)),

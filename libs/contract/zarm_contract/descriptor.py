@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -85,6 +85,11 @@ class ExecutionSettings(Section):
     Known from a driver that reports its speed."""
     faults: FaultPolicy = "latch"
     """How a fault is left. `latch`: by `reset` alone. `clear_at_rest`: also by the next goal, once the robot rests and reports its joints. A robot that did not stop when it was told to needs a `reset` either way."""
+
+    external_torque_limits: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=64)] | None = None
+    """How much the measured effort of each joint may differ from what its motion needs (Nm; N if prismatic): beyond that something pushes the robot,
+    and the motion ends in a fault. The servo compares them; it needs the inertia of each link in the URDF, and a driver that reports
+    efforts. Left out: collisions are not detected."""
 
     guard: Literal["optional", "required"] = "optional"
     """Whether a servo must guard every motion. `required`: without one none starts, and one that runs is held. `optional`: it moves
@@ -222,12 +227,14 @@ class RobotDescriptor(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         count = len(self.joints)
-        vectors: Mapping[str, tuple[float, ...]] = {
+        vectors: dict[str, tuple[float, ...]] = {
             "home": self.home,
             "cspace.velocity": self.cspace.velocity,
             "cspace.acceleration": self.cspace.acceleration,
             "cspace.jerk": self.cspace.jerk,
         }
+        if self.execution.external_torque_limits is not None:
+            vectors["execution.external_torque_limits"] = self.execution.external_torque_limits
         faults = ["joints: a name appears twice"] if len(set(self.joints)) != count else []
         faults += [
             f"{name}: {len(vector)} values for {count} joints"

@@ -5,7 +5,7 @@ ZarmError                       carries a Problem; every error that a user meets
 ├── PlanningFailed              unreachable, start_in_collision, goal_in_collision, no_path
 ├── DeadlineExceeded            timeout
 ├── ExecutionRefused            stale_plan, start_state_mismatch, no_joint_state, limit_violated
-├── ExecutionFailed             tolerance_violated, driver_stalled
+├── ExecutionFailed             tolerance_violated, driver_stalled, collision_detected
 ├── Cancelled                   cancelled
 ├── Busy                        busy
 ├── Unavailable                 unavailable: no answer, no router, no such service
@@ -34,6 +34,7 @@ Code = Literal[
     "unavailable",
     "tolerance_violated",
     "driver_stalled",
+    "collision_detected",
     "cancelled",
     "internal",
 ]
@@ -81,6 +82,10 @@ MEANINGS: Mapping[Code, Meaning] = {
     "driver_stalled": Meaning(
         "The driver reported nothing new or made no progress, so the robot was stopped.",
         "Check the driver, then send `reset`.",
+    ),
+    "collision_detected": Meaning(
+        "The efforts of the joints show that something pushes the robot, so it was stopped.",
+        "See what the robot has hit, then send `reset`.",
     ),
     "cancelled": Meaning("A client cancelled it.", "Nothing: somebody asked for it."),
     "internal": Meaning("zarm has a bug.", "Report it with the trace in the log of the service."),
@@ -159,7 +164,7 @@ class ExecutionRefused(ZarmError):
 class ExecutionFailed(ZarmError):
     """A check during motion failed; the robot was stopped."""
 
-    codes = ("tolerance_violated", "driver_stalled")
+    codes = ("tolerance_violated", "driver_stalled", "collision_detected")
 
 
 class Cancelled(ZarmError):

@@ -34,6 +34,7 @@ from zarm_contract.messages import (
     DriverSpeed,
     ExecuteRequest,
     ExecutorState,
+    ExternalTorque,
     FkPoses,
     FkRequest,
     GoalState,
@@ -351,6 +352,15 @@ class Keys:
     )
     servo_state = Latched(
         "servo/state", ServoState, "What the servo does, and in which scene.", of="servo", recorded="changes"
+    )
+
+    external_torque = Topic(
+        "servo/external_torque",
+        ExternalTorque,
+        "What pushes the robot, by the efforts of its joints; of a collision, at once.",
+        by=("servo",),
+        realtime=True,
+        recorded="changes",
     )
 
     # agent: a program that moves the robot through `zarm mcp`

@@ -49,8 +49,8 @@ class BusSide:
 
         self._bus.subscribe_timed(self._keys.driver_command, received)
 
-    def publish_joints(self, position: Array, velocity: Array) -> None:
-        """Publish the joint positions (J,) rad and velocities (J,) rad/s."""
+    def publish_joints(self, position: Array, velocity: Array, effort: Array | None) -> None:
+        """Publish the joint positions (J,) rad, velocities (J,) rad/s and efforts (J,) Nm, if known."""
         axes, stamp = self._axes, time.time()
         self._expiry.report(stamp, time.monotonic())
         self._joints.put(
@@ -59,6 +59,7 @@ class BusSide:
                 joint_names=axes.reported_joints,
                 position=axes.as_reported(position),
                 velocity=axes.as_reported(velocity),
+                effort=None if effort is None else axes.as_reported(effort),
             )
         )
 

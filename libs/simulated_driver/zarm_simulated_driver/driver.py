@@ -22,6 +22,7 @@ from zarm_contract.messages import (
     DriverOutputCommand,
     DriverOutputState,
     Nothing,
+    Vector3,
 )
 from zarm_simulated_driver.player import STEP, Array
 
@@ -45,6 +46,11 @@ class Arm(Protocol):
         ...
 
     @property
+    def effort(self) -> Array | None:
+        """Mean torques (J,) of the drives in the last step, Nm; None if there are none."""
+        ...
+
+    @property
     def played(self) -> int:
         """How many points of the last command are played."""
         ...
@@ -64,6 +70,10 @@ class Arm(Protocol):
 
     def displace(self, offset: Array) -> None:
         """Be elsewhere at once, by `offset` (J,) rad."""
+        ...
+
+    def push(self, force: Vector3 | None) -> None:
+        """From now on push the tip with this force (N, base frame). Raises InvalidRequest for an arm without mass."""
         ...
 
 
@@ -103,7 +113,7 @@ class PlaybackProgress:
 
 
 class SimulatedDriver:
-    """Plays commands on `arm`; publishes positions (J,) rad and velocities (J,) rad/s, and progress.
+    """Plays commands on `arm`; publishes positions (J,) rad, velocities (J,) rad/s and efforts (J,) Nm, and progress.
 
     `hands` are its grippers, whose states go to `publish_gripper`. `trace` gets a line for every step: positions, then
     velocities, regardless of faults that hide them from others.
@@ -112,7 +122,7 @@ class SimulatedDriver:
     def __init__(
         self,
         arm: Arm,
-        publish_joints: Callable[[Array, Array], None],
+        publish_joints: Callable[[Array, Array, Array | None], None],
         publish_progress: Callable[[PlaybackProgress], None],
         hands: Hands,
         publish_gripper: Callable[[DriverGripperState], None],
@@ -149,7 +159,7 @@ class SimulatedDriver:
         return DriverOutputState(output=command.output, sequence=command.sequence, problem=problem)
 
     def set_fault(self, fault: DriverFault) -> Nothing:
-        """Apply this fault from now on, and no other. Raises InvalidRequest for a jump with the wrong joints."""
+        """Apply this fault from now on, and no other. Raises InvalidRequest for a jump with the wrong joints, and as `Arm.push` does."""
         if fault.jump is not None and len(fault.jump) != len(self._arm.position):
             raise InvalidRequest(
                 f"{len(fault.jump)} values for {len(self._arm.position)} joints; give one for each", field="jump"
@@ -158,6 +168,7 @@ class SimulatedDriver:
             log.info("fault %s", fault.model_dump_json(exclude_defaults=True))
             if fault.die:
                 os._exit(1)
+            self._arm.push(fault.push)
             self._fault = fault
             if fault.jump is not None:
                 self._arm.displace(np.array(fault.jump))
@@ -184,7 +195,7 @@ class SimulatedDriver:
             self._hands.step(0.0 if self._fault.stall else STEP, self._fault.obstacle, self._report_gripper)
             if self._fault.silent:
                 return
-            self._publish_joints(self._arm.position, self._arm.velocity)
+            self._publish_joints(self._arm.position, self._arm.velocity, self._arm.effort)
             progress = PlaybackProgress(self._sequence, self._arm.played, self._arm.total)
             if self._sequence and progress.fraction != self._fraction_reported and not self._fault.stall:
                 self._fraction_reported = progress.fraction

@@ -12,6 +12,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import Vector3
+
 Array = npt.NDArray[np.float64]
 
 TICK = 0.02
@@ -57,6 +60,11 @@ class Player:
         self._stopping = True
 
     @property
+    def effort(self) -> None:
+        """No torque moves what has no mass."""
+        return None
+
+    @property
     def fraction(self) -> float:
         """The played share of the last command; 1 if it was empty."""
         return self.played / self.total if self.total else 1.0
@@ -100,6 +108,11 @@ class Player:
     def displace(self, offset: Array) -> None:
         """Be elsewhere at once, by `offset` (J,) rad."""
         self.position = self.position + offset
+
+    def push(self, force: Vector3 | None) -> None:
+        """Raises InvalidRequest for a force: without mass there is nothing to push."""
+        if force is not None:
+            raise InvalidRequest("this driver has no mass; start one with physics (--driver physics)", field="push")
 
     def _next_point(self, stalled: bool) -> None:
         if stalled:

@@ -61,14 +61,14 @@ class RosSide:
 
         self._node.create_subscription(JointTrajectory, self._command_topic, received, DEPTH)
 
-    def publish_joints(self, position: Array, velocity: Array) -> None:
-        """Publish the joint positions (J,) rad and velocities (J,) rad/s; the effort is unknown."""
+    def publish_joints(self, position: Array, velocity: Array, effort: Array | None) -> None:
+        """Publish the joint positions (J,) rad, velocities (J,) rad/s and efforts (J,) Nm, NaN if unknown."""
         axes = self._axes
         message = JointState(
             name=axes.reported_joints,
             position=axes.as_reported(position),
             velocity=axes.as_reported(velocity),
-            effort=[float("nan")] * len(axes.reported_joints),
+            effort=[float("nan")] * len(axes.reported_joints) if effort is None else axes.as_reported(effort),
         )
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._joints.publish(message)

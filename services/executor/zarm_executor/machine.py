@@ -16,7 +16,15 @@ import threading
 from collections import deque
 
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, ExecutionRefused, Problem, Unavailable
-from zarm_contract.messages import Authority, ExecutorState, GoalState, Openings, RobotMode, SceneRevision
+from zarm_contract.messages import (
+    Authority,
+    ExecutorState,
+    ExternalTorque,
+    GoalState,
+    Openings,
+    RobotMode,
+    SceneRevision,
+)
 from zarm_executor.command_order import CommandOrder
 from zarm_executor.goal import Chunk, Goal
 from zarm_executor.goal_execution import GoalExecution
@@ -207,6 +215,23 @@ class Machine:
             if newer and motion is not None and motion is self._motion and motion.goal.trajectory is trajectory:
                 motion.permit(authority, limit, self.scene)
             self._authority_changed.notify_all()
+
+    def collide(self, felt: ExternalTorque) -> None:
+        """Bring the robot to rest and end the goal in a fault, if the servo felt a collision in it."""
+        if felt.joint is None:
+            return
+        with self._lock:
+            motion = None if felt.goal_id is None else self._motion_of(felt.goal_id)
+            if motion is not None and motion.outcome is None:
+                torque = felt.torque[felt.joint_names.index(felt.joint)]
+                motion.fail(
+                    ExecutionFailed(
+                        f"something pushes {felt.joint} with {abs(torque):.1f} Nm, more than execution.external_torque_limits "
+                        "allow; see what the robot has hit",
+                        code="collision_detected",
+                        joint=felt.joint,
+                    )
+                )
 
     def wait_for_authority(self, goal_id: str, scene: SceneRevision | None) -> bool:
         """Wait until a servo has checked this goal in this scene, at most as long as a servo may be silent; returns

@@ -167,6 +167,7 @@ def start(service: Service) -> Iterator[None]:
             ):
                 bus.watch(keys.scene_revision, present.receive)
                 command_bus.subscribe(keys.authority, lambda _, authority: machine.receive(authority, time.monotonic()))
+                command_bus.subscribe(keys.external_torque, lambda _, felt: machine.collide(felt))
 
                 def receive(key: str, plan: Plan) -> None:
                     plans.add(key, plan)

@@ -32,7 +32,11 @@ _ENDS = ("cancel", "stop", "preemption", "switch of strategy", "SIGTERM")
 TRANSITIONS = (
     Transition("idle", "running", ("execute", "first chunk of a stream")),
     Transition("running", "idle", ("at the goal", "at rest beside it")),
-    Transition("running", "stopping", ("pause", *_ENDS, "violation", "late or impossible chunk", "held too long")),
+    Transition(
+        "running",
+        "stopping",
+        ("pause", *_ENDS, "violation", "felt collision", "late or impossible chunk", "held too long"),
+    ),
     Transition("running", "fault", ("violation while the robot rests",)),
     Transition("stopping", "running", ("resume, while braking for a pause",)),
     Transition("stopping", "paused", ("at rest after a pause",)),

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.gripper import Gripper
-from zarm_contract.messages import Attached, DriverGripperCommand
+from zarm_contract.messages import Attached, DriverGripperCommand, Vector3
 from zarm_physics_sim.drives import Drives, DriveSettings
 from zarm_physics_sim.simulation import STEP, Simulation
 from zarm_physics_sim.world import World
@@ -77,6 +77,8 @@ class PhysicalArm:
             (finger.stiffness(simulation.robot), finger.force(simulation.robot)) for finger in simulation.fingers
         ]
         self._measured: tuple[Array, Array] = start, np.zeros(len(start))
+        self._effort: Array = simulation.bias[self._order]
+        self._push: Vector3 | None = None
 
     @property
     def simulation(self) -> Simulation:
@@ -92,6 +94,11 @@ class PhysicalArm:
     def velocity(self) -> Array:
         """Measured velocities (J,), rad/s."""
         return self._measured[1]
+
+    @property
+    def effort(self) -> Array:
+        """Mean torques (J,) of the drives in the last step, Nm."""
+        return self._effort
 
     @property
     def played(self) -> int:
@@ -115,29 +122,38 @@ class PhysicalArm:
             moved[self._order] += offset
             self._simulation.place(moved)
 
+    def push(self, force: Vector3 | None) -> None:
+        """From now on push the tip with this force (N, base frame)."""
+        self._push = force
+
     def step(self, *, stalled: bool = False) -> None:
         """Let `player.STEP` seconds pass; see `Player.step`."""
         before = self._player.position, self._player.velocity
         self._player.step(stalled=stalled)
         acceleration = (self._player.velocity - before[1]) / player.STEP
+        effort = np.zeros(len(self._order))
         with self._lock:
             for k in range(1, _STEPS + 1):
                 passed = k * STEP
                 speed = before[1] + acceleration * passed
                 place = before[0] + (before[1] + 0.5 * acceleration * passed) * passed
-                self._substep((place, speed, acceleration))
+                effort += self._substep((place, speed, acceleration))
+            self._effort = effort / _STEPS
             self._steps += 1
             if self._steps % _EVERY == 0:
                 self._report(self._simulation)
 
-    def _substep(self, reference: tuple[Array, Array, Array]) -> None:
+    def _substep(self, reference: tuple[Array, Array, Array]) -> Array:
+        """One step of the simulation; returns the torques (J,) of the drives."""
         simulation, order = self._simulation, self._order
         self._measured = self._drives.measured(simulation.position[order], simulation.velocity[order])
-        torque = np.empty(len(order))
-        torque[order] = self._drives.torque(
+        driven = self._drives.torque(
             reference, self._measured, simulation.mass[np.ix_(order, order)], simulation.bias[order]
         )
-        simulation.step(torque, self._finger_forces())
+        torque = np.empty(len(order))
+        torque[order] = driven
+        simulation.step(torque, self._finger_forces(), self._push)
+        return driven
 
     def _finger_forces(self) -> Array:
         simulation = self._simulation

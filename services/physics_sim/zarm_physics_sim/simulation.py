@@ -109,6 +109,7 @@ class Simulation:
         walking = [name for walk in world.walks for name in walk.names]
         self._mocap = {name: self._model.body(body_name(name)).mocapid[0] for name in walking}
         self._places = {name: np.array(world.objects[name].position) for name in walking}
+        self._tip = self._model.body(robot.descriptor.tip_link).id
         self._joints = _Joints.of(self._model, robot.descriptor.joints)
         grippers = robot.descriptor.grippers.values()
         self.fingers = tuple(
@@ -259,15 +260,23 @@ class Simulation:
         self._data.qvel[self._joints.speeds] = 0.0
         mujoco.mj_forward(self._model, self._data)
 
-    def step(self, torque: Array, finger_force: Array) -> None:
-        """Let `STEP` seconds pass with these torques (J,) on the joints, and these (F,) on those of the `fingers`."""
+    def step(self, torque: Array, finger_force: Array, push: Vector3 | None = None) -> None:
+        """Let `STEP` seconds pass with these torques (J,) on the joints, and these (F,) on those of the `fingers`; `push` (N, base
+        frame) acts on the tip.
+        """
         self._data.qfrc_applied[self._joints.speeds] = torque
         self._data.qfrc_applied[self._fingers.speeds] = finger_force
         for walk in self.world.walks:
             moved = walk.at(self.time - self._loaded)
             for name in walk.names:
                 self._data.mocap_pos[self._mocap[name]] = self._places[name] + moved
+        self._data.xfrc_applied[self._tip] = 0.0 if push is None else self._wrench(push)
         mujoco.mj_step(self._model, self._data)
+
+    def _wrench(self, force: Vector3) -> Array:
+        """A force on the tip as force and torque (6,) on the centre of mass of its body."""
+        arm = self._data.xpos[self._tip] - self._data.xipos[self._tip]
+        return np.concatenate([force, np.cross(arm, force)])
 
     def snapshot(self) -> Any:
         """A copy of the state, for `frame` and `renderer`."""

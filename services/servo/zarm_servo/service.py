@@ -18,6 +18,7 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.mesh_folders import add_meshes
 from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_runtime.service import Service, run_service, service_parser
+from zarm_servo.guarding.collision_detection import CollisionDetection
 from zarm_servo.guarding.guard import Guard
 from zarm_servo.guarding.replanning import Replanner
 from zarm_servo.tracking.session import SessionConfig
@@ -76,6 +77,10 @@ def start(service: Service) -> Iterator[None]:
                 lambda: guard.wake(),
             )
         )
+        detection = CollisionDetection(
+            model, world.scene, command_bus.publisher(keys.external_torque).put, lambda: guard.wake()
+        )
+        world.on_state.append(detection.on_state)
         guard = Guard(
             service.robot.descriptor,
             checker,
@@ -86,6 +91,7 @@ def start(service: Service) -> Iterator[None]:
             service.metrics,
             session=sessions.newest,
             validity=replanner.on_validity,
+            collision_detection=lambda: detection.state,
         )
         gc.collect()
         gc.freeze()  # collecting long-lived objects again and again would delay a check
@@ -94,6 +100,7 @@ def start(service: Service) -> Iterator[None]:
             bus.serve(keys.servo_end, sessions.end)
             command_bus.serve(keys.servo_chunk, sessions.take, workers=1)
             bus.listen(keys.object_pose("*"), world.moving.receive)
+            command_bus.subscribe(keys.driver_joint_states, detection.on_joints)
             command_bus.listen(keys.servo_target, sessions.on_target)
             service.ready()
             try:

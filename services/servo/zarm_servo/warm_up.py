@@ -13,6 +13,7 @@ import numpy as np
 
 from zarm_contract.messages import Cuboid, Voxels
 from zarm_contract.robot import load_robot
+from zarm_geometry.dynamics import Dynamics
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.kernels.nearest import nearest_time
@@ -40,6 +41,8 @@ def warm_up(checker: Checker, check: SceneCheck, report: Callable[[str], None]) 
     checker.validity(standing, 0.0, SceneSnapshot(objects={"far": box}), None)
     mover = Mover(box, box, (0.1, 0.0, 0.0), 0.1, 0.0, 0.0)
     checker.validity_among(standing, 0.0, SceneSnapshot(), [mover], 0.0, 0.5)
+    dynamics = model.dynamics or Dynamics.of(model.tree, (), np.full(model.dof, np.inf))
+    dynamics.holding(home[None])
     report("loading the control of sessions")
     controller = Controller(model, check.motions, Limits.of(model.robot), home, margin=0.01)
     for item in (box, cell, tip):

@@ -292,9 +292,9 @@ def test_a_trajectory_whose_columns_do_not_fit_is_refused_by_field(path: Path, v
     assert refused_field(messages.Trajectory, changed(json.loads(encode(example)), path, value)) == dotted(path)
 
 
-@pytest.mark.parametrize("field", ["position", "velocity"])
+@pytest.mark.parametrize("field", ["position", "velocity", "effort"])
 def test_a_joint_state_with_a_joint_missing_is_refused_by_field(field: str) -> None:
-    (example,) = by_class()[messages.JointState]
+    *_, example = by_class()[messages.JointState]
     assert refused_field(messages.JointState, changed(json.loads(encode(example)), (field,), [0.1])) == field
 
 

@@ -12,6 +12,7 @@ from support.executor.bench import Arm, Bench
 from support.harness import PATIENCE
 from support.trajectories import HOME
 from zarm_contract.errors import Busy, Cancelled, Unavailable
+from zarm_contract.messages import ExternalTorque
 from zarm_trajectory.follower import TICK
 
 
@@ -391,3 +392,38 @@ def test_fresh_joints_are_waited_for(bench: Bench) -> None:
         measured = fresh.result(PATIENCE)
     assert measured is not None
     assert measured.time == bench.now
+
+
+# --- felt collisions ---
+
+
+def felt(goal_id: str, joint: str | None = "joint_2") -> ExternalTorque:
+    names, torque = ("joint_1", "joint_2"), (1.0, -31.0)
+    return ExternalTorque(stamp=1e9, joint_names=names, torque=torque, largest=torque, goal_id=goal_id, joint=joint)
+
+
+def test_a_felt_collision_brings_the_robot_to_rest_and_is_a_fault(bench: Bench) -> None:
+    path = bench.execute()
+    bench.run(path.duration / 2)
+    for _ in range(3):
+        bench.machine.collide(felt("goal-1"))
+        bench.tick()
+    assert bench.machine.state().mode == "stopping"
+    bench.until("fault")
+    problem = bench.machine.state().problem
+    assert problem is not None
+    assert (problem.code, problem.joint) == ("collision_detected", "joint_2")
+    assert "something pushes joint_2 with 31.0 Nm" in problem.message
+    bench.machine.reset(arrival())
+    assert bench.machine.state().mode == "idle"
+
+
+def test_torques_below_the_limits_and_those_of_another_goal_end_nothing(bench: Bench) -> None:
+    bench.execute("goal-2")
+    bench.run(0.3)
+    bench.machine.collide(felt("goal-1"))
+    bench.machine.collide(felt("goal-2", joint=None))
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+    bench.machine.collide(felt("goal-2"))
+    assert bench.machine.state().mode == "idle"

@@ -8,7 +8,16 @@ from typing import Annotated
 from pydantic import Field, ValidationInfo, field_validator
 
 from zarm_contract._model import Message, ShortMessage
-from zarm_contract.messages.motion import JointNames, Joints, Name, NonNegative, SequenceNumber, same_length, same_width
+from zarm_contract.messages.motion import (
+    JointNames,
+    Joints,
+    Name,
+    NonNegative,
+    SequenceNumber,
+    Vector3,
+    same_length,
+    same_width,
+)
 
 
 class DriverCommand(Message):
@@ -74,7 +83,7 @@ class DriverFault(ShortMessage):
     `stall`: play no further point; the robot stands and is still reported. `drop`: share of commands that are lost. `delay`
     (s): from a command to its first point. `silent`: publish nothing. `die`: end the process, as by SIGKILL. `jump` (rad): move
     the reported joints by this much, once. `obstacle` (m): an object of this width stops the fingers of its grippers.
-    `output`: this output cannot be switched.
+    `output`: this output cannot be switched. `push` (N): a force on the tip, along the axes of the base; it needs a driver with physics.
     """
 
     stall: bool = False
@@ -85,3 +94,4 @@ class DriverFault(ShortMessage):
     jump: Joints | None = None
     obstacle: NonNegative | None = None
     output: Name | None = None
+    push: Vector3 | None = None

@@ -70,17 +70,22 @@ class Pose(Message):
 
 
 class JointState(ShortMessage):
-    """Measured or previewed joints at the time `stamp` (Unix, s): `position` (rad) and `velocity` (rad/s)."""
+    """Measured or previewed joints at the time `stamp` (Unix, s): `position` (rad) and `velocity` (rad/s).
+
+    `effort` (Nm; N if prismatic) is what the drives exert, left out where it is not measured.
+    """
 
     stamp: float
     joint_names: JointNames
     position: Joints
     velocity: Joints
+    effort: Joints | None = None
 
-    @field_validator("position", "velocity")
+    @field_validator("position", "velocity", "effort")
     @classmethod
-    def _one_per_joint(cls, values: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
-        same_length(values, info, "joint_names")
+    def _one_per_joint(cls, values: tuple[float, ...] | None, info: ValidationInfo) -> tuple[float, ...] | None:
+        if values is not None:
+            same_length(values, info, "joint_names")
         return values
 
 

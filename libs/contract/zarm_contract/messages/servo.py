@@ -11,6 +11,7 @@ from zarm_contract.errors import Problem
 from zarm_contract.messages.executor import Obstruction
 from zarm_contract.messages.goals import GroupName, PoseTolerance
 from zarm_contract.messages.motion import (
+    JointNames,
     Joints,
     Name,
     NonNegative,
@@ -231,6 +232,25 @@ class ServoSession(Message):
     lag: float | None = None
 
 
+class ExternalTorque(ShortMessage):
+    """How much the efforts that a driver measured at `stamp` (Unix, s) differ from what the motion needs: `torque` (Nm; N if prismatic) from outside,
+    a mean over some 20 ms. `largest` is the most (absolute) that each joint has felt since the servo began.
+
+    `joint`, in the motion of the goal `goal_id`, felt more than `execution.external_torque_limits` allow: the executor brakes, and ends the goal.
+    """
+
+    stamp: float
+    joint_names: JointNames
+    torque: Joints
+    largest: Joints
+    goal_id: Name | None = None
+    joint: Name | None = None
+
+
+CollisionDetection = Literal["off", "on", "no_inertia", "no_effort"]
+"""Off: no limits are set. On. The URDF does not state the inertia of each link. The driver reports no efforts."""
+
+
 class ServoState(ShortMessage):
     """What the servo does, and in which scene. `guarding`: it checks the goal `goal_id`, which may go up to `until` (s), if given.
 
@@ -239,7 +259,7 @@ class ServoState(ShortMessage):
     `scene_revision` is the scene that it has, left out before the first. With `scene_lost` the planner is gone or has lost its
     scene; then the last known scene still counts. `problem` says why it gives no authority. `check` is how long the last check took (s).
     `lost_objects` have had no pose for 1 s: each may be anywhere that it can have moved within that time. `pose_refused` says, for
-    1 s at least, why the pose of an object was not taken.
+    1 s at least, why the pose of an object was not taken. `collision_detection` says whether efforts are compared with the model, and if not, why.
     """
 
     activity: Literal["idle", "guarding", "following"]
@@ -252,4 +272,5 @@ class ServoState(ShortMessage):
     check: NonNegative = 0.0
     lost_objects: tuple[Name, ...] = ()
     pose_refused: Problem | None = None
+    collision_detection: CollisionDetection = "off"
     session: ServoSession | None = None

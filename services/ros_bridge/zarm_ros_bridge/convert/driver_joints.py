@@ -59,6 +59,7 @@ class _Layout:
     mask: int
     names: int
     numbers: struct.Struct
+    efforts: struct.Struct
     count: int
     joints: tuple[str, ...]
     places: tuple[int, ...]
@@ -81,6 +82,7 @@ class _Layout:
             bits,
             int.from_bytes(message[_FRAME:begin]) & bits,
             struct.Struct(f"<{count}dI4x{count}d"),
+            struct.Struct(f"<I4x{count}d"),
             count,
             joints,
             tuple(places[joint] for joint in joints),
@@ -100,8 +102,21 @@ class _Layout:
         if not (seconds or nanoseconds) or not all(map(math.isfinite, position + velocity)):
             return None
         return JointState(
-            stamp=seconds + nanoseconds * 1e-9, joint_names=self.joints, position=position, velocity=velocity
+            stamp=seconds + nanoseconds * 1e-9,
+            joint_names=self.joints,
+            position=position,
+            velocity=velocity,
+            effort=self._effort(message),
         )
+
+    def _effort(self, message: bytes) -> tuple[float, ...] | None:
+        """The efforts; None unless there is a finite one for each joint."""
+        begin = self.begin + self.numbers.size
+        if len(message) < begin + self.efforts.size:
+            return None
+        count, *efforts = self.efforts.unpack_from(message, begin)
+        chosen = tuple([efforts[place] for place in self.places])
+        return chosen if count == self.count and all(map(math.isfinite, chosen)) else None
 
 
 def _length(text: str) -> int:

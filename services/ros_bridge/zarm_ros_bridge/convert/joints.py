@@ -24,6 +24,7 @@ Positions = tuple[float, ...]
 def ros_joint_state(state: JointState) -> RosJointState:
     """Measured or previewed joints."""
     message = ros_positions(state.joint_names, state.position, state.velocity)
+    message.effort = array("d", state.effort or ())
     message.header.stamp = ros_time(state.stamp)
     return message
 
@@ -64,7 +65,8 @@ def driver_joint_state(
     """A driver's joint states: those of `joints`, and of the `optional` ones that are there, ignoring others; without names, those
     of `unnamed` by index.
 
-    Missing velocities, or ones that are not finite, become 0, since some drivers report none. A stamp of 0 means now.
+    Missing velocities, or ones that are not finite, become 0, since some drivers report none. Efforts are left out unless there is a finite one
+    for each joint. A stamp of 0 means now.
     Raises InvalidRequest, which names the field, for what cannot be read.
     """
     names = message.name or unnamed
@@ -82,7 +84,16 @@ def driver_joint_state(
         joint_names=tuple(reported),
         position=tuple(position[places[joint]] for joint in reported),
         velocity=tuple(speed if math.isfinite(speed := velocity[places[joint]]) else 0.0 for joint in reported),
+        effort=_efforts(message.effort, len(names), [places[joint] for joint in reported]),
     )
+
+
+def _efforts(efforts: Sequence[float], count: int, places: Sequence[int]) -> tuple[float, ...] | None:
+    """The efforts at these places; None unless there are `count`, finite at all of the places."""
+    if len(efforts) != count:
+        return None
+    chosen = tuple(efforts[place] for place in places)
+    return chosen if all(map(math.isfinite, chosen)) else None
 
 
 def places_of(names: Sequence[str], joints: Sequence[str], field: str) -> dict[str, int]:

@@ -29,6 +29,7 @@ OF_CODE: Mapping[Code, int] = {
     "unavailable": Val.COMMUNICATION_FAILURE,
     "tolerance_violated": Val.CONTROL_FAILED,
     "driver_stalled": Val.CONTROL_FAILED,
+    "collision_detected": Val.CONTROL_FAILED,
     "cancelled": Val.PREEMPTED,
     "internal": Val.FAILURE,
 }

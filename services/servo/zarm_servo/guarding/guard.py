@@ -14,6 +14,7 @@ from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.errors import Problem, ZarmError
 from zarm_contract.messages import (
     Authority,
+    CollisionDetection,
     GoalState,
     GoalTrajectory,
     SceneRevision,
@@ -63,7 +64,8 @@ class Guard:
 
     `session()` is the newest session, if any. An open one checks its own steps: while no other goal runs, its goal has
     full authority. `validity(goal, until)` is called after every check of a goal that may be replanned with the path time
-    up to which it may go, None for its end; and with None for both if there is no such goal.
+    up to which it may go, None for its end; and with None for both if there is no such goal. `collision_detection()` says whether collisions
+    are detected.
     """
 
     def __init__(
@@ -78,8 +80,10 @@ class Guard:
         *,
         session: Callable[[], OpenSession | None],
         validity: Callable[[FollowedGoal | None, float | None], object],
+        collision_detection: Callable[[], CollisionDetection],
     ) -> None:
         self._world, self._session, self._report_validity = world, session, validity
+        self._collision_detection = collision_detection
         self._goals = GoalMonitor(descriptor.joints, world.measured)
         self._limits, self._reaction = RateLimits.of(descriptor), reaction(descriptor)
         self._checker = checker
@@ -265,6 +269,7 @@ class Guard:
             check=self._took if session is None and goal_id is not None else 0.0,
             lost_objects=self._world.moving.lost(time.monotonic()),
             pose_refused=self._world.moving.refused,
+            collision_detection=self._collision_detection(),
             session=None if session is None else session.state(),
         )
         before = self._state
