@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import mujoco
 import numpy as np
+import pinocchio
 import pytest
 from numpy.typing import NDArray
 
@@ -26,12 +26,10 @@ from zarm_contract.messages import (
     ProgramRequest,
     SceneEdit,
 )
-from zarm_contract.robot import load_robot
+from zarm_contract.robot import ROBOTS, load_robot
 from zarm_geometry.dynamics import Dynamics, Weight, weights_of
-from zarm_geometry.inertia import usable_inertials
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
-from zarm_physics_sim.robot_body import add_robot
 from zarm_planner.deadline import Deadline
 from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
@@ -73,27 +71,23 @@ def to_there(handlers: Handlers, **options: object) -> Plan:
 
 
 def inverse(mass: float, states: Array) -> Array:
-    """The torques (n, 7) of states (3, n, 7) of the Panda with a `mass` (kg) at its flange, by MuJoCo's inverse dynamics."""
-    spec = mujoco.MjSpec()
-    spec.compiler.degree, spec.compiler.autolimits = False, False
-    spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    add_robot(spec, PANDA, usable_inertials(PANDA)[0], 1000.0)
-    body = spec.body(PANDA.descriptor.tip_link).add_body(name="load", pos=[0.0, 0.0, 0.05])
-    body.explicitinertial, body.mass, body.ipos = True, mass, [0.0, 0.0, 0.0]
-    body.inertia = [mass * SIDE**2 / 6] * 3
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    data.qpos[7:9] = 0.04
-    torques = []
-    for q, v, a in states.transpose(1, 0, 2):
-        data.qpos[:7], data.qvel[:7], data.qacc[:7] = q, v, a
-        mujoco.mj_inverse(model, data)
-        torques.append(data.qfrc_inverse[:7].copy())
-    return np.array(torques)
+    """The torques (n, 7) of states (3, n, 7) of the Panda with a `mass` (kg) at its flange, by Pinocchio, which reads the URDF by itself."""
+    model = pinocchio.buildModelFromUrdf(str(ROBOTS / "panda.urdf"))
+    flange = model.frames[model.getFrameId(PANDA.descriptor.tip_link)]
+    load = pinocchio.Inertia(mass, np.zeros(3), mass * SIDE**2 / 6 * np.eye(3))
+    below = pinocchio.SE3(np.eye(3), np.array([0.0, 0.0, 0.05]))
+    model.appendBodyToJoint(flange.parentJoint, load, flange.placement * below)
+    data, fingers, still = model.createData(), np.full(2, 0.04), np.zeros(2)
+    return np.array(
+        [
+            pinocchio.rnea(model, data, np.append(q, fingers), np.append(v, still), np.append(a, still))[:7]
+            for q, v, a in states.transpose(1, 0, 2)
+        ]
+    )
 
 
 def worst(plan: Plan, mass: float) -> float:
-    """The largest share of an effort that MuJoCo's inverse dynamics gives, every millisecond."""
+    """The largest share of an effort that Pinocchio gives, every millisecond."""
     trajectory = TimedTrajectory.of(plan.trajectory, PANDA.descriptor.joints)
     efforts = {joint.name: joint.effort for joint in PANDA.urdf.joint_of_child.values()}
     limit = np.array([efforts[name] for name in PANDA.descriptor.joints], float)
@@ -260,7 +254,7 @@ def test_a_robot_of_unknown_inertia_says_nothing_of_torques(tmp_path: Path) -> N
     assert plan.torque is None
 
 
-def test_the_torques_of_a_motion_are_those_of_mujoco(tmp_path: Path) -> None:
+def test_the_torques_of_a_motion_are_those_of_pinocchio(tmp_path: Path) -> None:
     states = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 50, 7))
     states[0] += HOME
     states[2] *= 5.0
