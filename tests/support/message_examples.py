@@ -264,7 +264,6 @@ EXAMPLES: tuple[Message, ...] = (
     _PROBLEM,
     # motion
     _POSE,
-    m.JointState(stamp=1.75e9, joint_names=("shoulder", "elbow"), position=(0.1, -0.2), velocity=(0.0, 0.05)),
     m.JointState(
         stamp=1.75e9, joint_names=("shoulder", "elbow"), position=(0.1, -0.2), velocity=(0.0, 0.05), effort=(31.0, -8.5)
     ),

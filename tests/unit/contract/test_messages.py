@@ -294,7 +294,7 @@ def test_a_trajectory_whose_columns_do_not_fit_is_refused_by_field(path: Path, v
 
 @pytest.mark.parametrize("field", ["position", "velocity", "effort"])
 def test_a_joint_state_with_a_joint_missing_is_refused_by_field(field: str) -> None:
-    *_, example = by_class()[messages.JointState]
+    (example,) = by_class()[messages.JointState]
     assert refused_field(messages.JointState, changed(json.loads(encode(example)), (field,), [0.1])) == field
 
 
