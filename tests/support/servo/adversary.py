@@ -156,6 +156,7 @@ class _Run:
             Metrics(),
             session=lambda: None,
             validity=lambda *_: None,
+            collision_detection=lambda: "off",
         )
         self._world.scene.on_scene("", Scene(revision=SCENE, objects=(self._item,)))
         self._killed_at = clock.now + rng.uniform(0.1, 2.5) if dies else np.inf
