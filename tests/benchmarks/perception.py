@@ -1,6 +1,6 @@
-"""What the voxel map costs, and whether it can be trusted: `python tests/benchmarks/perception.py [--scenes 20] [--plans 50] [--unseen occupied]`.
+"""What the voxel map costs, and whether it can be trusted: `python tests/benchmarks/perception.py [--scenes 20] [--plans 50] [--cameras 4] [--unseen occupied]`.
 
-An M1013 among random boxes, seen by two simulated cameras of 640 x 480 with the noise of a RealSense (quadratic in depth), holes and flying pixels. *Image*: CPU time to
+An M1013 among random boxes, seen by two or more simulated cameras of 640 x 480 with the noise of a RealSense (quadratic in depth), holes and flying pixels. *Image*: CPU time to
 take one into the map. *Planner*, *servo*: from its blocks to a scene that is ready for the next plan, and to a motion check that knows them; the first images of a scene, which change all
 blocks, are counted apart. *Plan*: through the map, and
 among the boxes themselves, problem by problem. Each plan through the map is then checked against the boxes as they are, and all are executed among them by the
@@ -69,7 +69,13 @@ def camera(name: str, eye: tuple[float, float, float], at: tuple[float, float, f
     )  # fmt: skip
 
 
-CAMERAS = (camera("front", (2.0, -1.0, 1.5), (0.2, 0.0, 0.3)), camera("back", (-0.9, 1.7, 1.7), (0.2, 0.0, 0.3)))
+CAMERAS = (
+    camera("front", (2.0, -1.0, 1.5), (0.2, 0.0, 0.3)),
+    camera("back", (-0.9, 1.7, 1.7), (0.2, 0.0, 0.3)),
+    camera("left", (1.6, 1.5, 0.15), (0.0, 0.0, 0.4)),
+    camera("right", (-1.6, -1.5, 0.15), (0.0, 0.0, 0.4)),
+)
+"""Two from above; the others, from near the floor, see the undersides and what is behind."""
 
 
 def clutter(rng: np.random.Generator) -> list[Cuboid]:
@@ -130,10 +136,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=int, default=20)
     parser.add_argument("--plans", type=int, default=50, help="of each scene")
+    parser.add_argument("--cameras", type=int, default=2, help="how many of the four see the scene")
     parser.add_argument("--unseen", choices=("free", "occupied"), default="free", help="what no camera has seen is")
     arguments = parser.parse_args()
     rng, robot = np.random.default_rng(0), RobotShapes(MODEL)
-    sources = [CameraSource(one, MODEL) for one in CAMERAS]
+    cameras = CAMERAS[: arguments.cameras]
+    sources = [CameraSource(one, MODEL) for one in cameras]
     image, pairs = [], []
     first: list[tuple[float, float, int]] = []
     later: list[tuple[float, float, int]] = []
@@ -154,7 +162,7 @@ def main() -> None:
             )
             seeing.scenes.voxels, blocks = store, Blocks(voxels)
             for number in range(8):
-                for one, source in zip(CAMERAS, sources, strict=True):
+                for one, source in zip(cameras, sources, strict=True):
                     depth = noisy(renderer.depth(one, one.intrinsics, simulation.snapshot()), rng)
                     began = time.process_time()
                     voxels.integrate(depth, source.view(HOME), robot.at(HOME), PADDING)

@@ -94,7 +94,10 @@ class VoxelMap:
         cleaned(depth, view, counted)
         mask = np.zeros(depth.shape, np.uint8)
         mask_robot(counted, view, robot.parts, robot.balls, padding, mask)
-        take_out(self._grid, robot.parts, robot.balls, _DIAGONAL * self.resolution)  # nothing else is where it is
+        touching = _DIAGONAL * self.resolution
+        take_out(self._grid, robot.parts, robot.balls, touching, OCCUPIED)  # nothing else is where it is
+        if self.unseen_occupied:  # nor where no image could show anything
+            take_out(self._grid, robot.parts, robot.balls, touching + padding, UNSEEN)
         marking = mark(self._grid, counted, view, mask, self._images)
         through = np.empty_like(counted)
         filled(counted, through)
@@ -103,7 +106,7 @@ class VoxelMap:
 
     def take_out(self, shape: RobotShape, padding: float) -> None:
         """Free what is within `padding` (m) of a shape: it was seen before that was known."""
-        take_out(self._grid, shape.parts, shape.balls, padding + self.resolution / 2.0)
+        take_out(self._grid, shape.parts, shape.balls, padding + self.resolution / 2.0, OCCUPIED)
 
     def forget(self) -> None:
         """Make everything unseen."""

@@ -181,6 +181,16 @@ def test_where_the_robot_is_nothing_else_is() -> None:
     assert 0.017 < away.min() < 0.03, "what is near it stays"
 
 
+def test_where_the_robot_is_is_free_though_no_camera_sees_through_it() -> None:
+    """Otherwise, where the unseen counts as occupied, it could never leave its place."""
+    voxels = empty_map(unseen_occupied=True)
+    view, robot = looking((1.6, 0.6, 1.1), (0.3, 0.0, 0.4)), RobotShapes(M1013).at(HOME)
+    assert rows.distances(centers(voxels, voxels.occupied), robot.parts).min() < 0.0
+    voxels.integrate(np.zeros((HEIGHT, WIDTH), np.float32), view, robot, 0.03)
+    away = rows.distances(centers(voxels, voxels.occupied), robot.parts).min(axis=1)
+    assert 0.047 < away.min() < 0.06, "as far as nothing beside it can be seen"
+
+
 def test_the_filter_leaves_out_what_is_within_the_padding_and_no_more() -> None:
     shape = RobotShapes(M1013).at(HOME)
     view = looking((1.6, 0.6, 1.1), (0.3, 0.0, 0.4))

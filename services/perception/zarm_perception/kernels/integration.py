@@ -203,8 +203,8 @@ def mask_robot(depth: Depth, view: View, parts: Array, balls: Array, padding: fl
 
 
 @kernel
-def take_out(grid: Grid, parts: Array, balls: Array, padding: float) -> None:
-    """Free the occupied voxels whose centre is within `padding` (m) of one of the convex `parts` (m, 17), each inside one of
+def take_out(grid: Grid, parts: Array, balls: Array, padding: float, state: int) -> None:
+    """Free the voxels in this `state` whose centre is within `padding` (m) of one of the convex `parts` (m, 17), each inside one of
     `balls` (m, 4).
     """
     nx, ny, nz = grid.state.shape
@@ -224,7 +224,7 @@ def take_out(grid: Grid, parts: Array, balls: Array, padding: float) -> None:
             for j in range(first_j, last_j + 1):
                 y = origin[1] + j * grid.resolution
                 for k in range(first_k, last_k + 1):
-                    if grid.state[i, j, k] != OCCUPIED:
+                    if grid.state[i, j, k] != state:
                         continue
                     z = origin[2] + k * grid.resolution
                     local = (
