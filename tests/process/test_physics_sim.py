@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 import zarm
+from support.command_line import zarm as run_zarm
 from support.harness import PATIENCE, ServiceProcess, eventually, router
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverFault, PhysicsState, ServoState
@@ -153,6 +154,7 @@ def test_a_push_is_felt_and_ends_the_motion_in_a_fault(tmp_path: Path) -> None:
         there, back = (0.9, -1.2, 1.2, -1.57, -1.57, 0.0), (-0.9, -1.5, 1.5, -1.57, -1.57, 0.0)
         assert cell.robot.execute(cell.robot.plan(there)).status == "succeeded", "nothing pushes"
         assert cell.servo().collision_detection == "on"
+        assert "felt by the efforts of the joints" in run_zarm("status", "--connect", cell.endpoint).stdout
         with pytest.raises(zarm.ExecutionFailed, match="something pushes") as failed:
             cell.robot.execute(cell.robot.plan(back), on_progress=lambda _: cell.fault(push=(0.0, 0.0, -80.0)))
         assert failed.value.code == "collision_detected"

@@ -31,6 +31,7 @@ from zarm_cli.output import (
 from zarm_contract.codec import CONTRACT
 from zarm_contract.errors import InternalError, Unavailable
 from zarm_contract.messages import (
+    CollisionDetection,
     ExecutorState,
     GoalState,
     GripperState,
@@ -40,6 +41,7 @@ from zarm_contract.messages import (
     OutputState,
     Pose,
     Scene,
+    ServoState,
 )
 from zarm_runtime.session import DEFAULT_ENDPOINT
 from zarm_runtime.version import version
@@ -50,6 +52,12 @@ if TYPE_CHECKING:
 _NEEDED = ("planner", "executor")
 _PERIOD = 0.1  # interval (s) of `watch`
 _STALE = 1.0  # s after which a joint state is no longer shown
+
+_DETECTION: Mapping[CollisionDetection, str] = {
+    "on": "felt by the efforts of the joints",
+    "no_inertia": "not felt: the URDF does not state the inertia of each link",
+    "no_effort": "not felt: the driver reports no efforts",
+}
 
 M = TypeVar("M", bound=Message)
 
@@ -65,6 +73,7 @@ def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: N
         found = {service for _, service, _ in bus.alive(keys.alive("*", "*"))}
         services = {one: _answered(partial(robot.health, one)) for one in sorted(found | {*_NEEDED})}
         state, scene = _answered(robot.state), _answered(robot.scene.read)
+        servo = _answered(partial(bus.read, keys.servo_state, timeout=1.0)) if "servo" in found else None
         grippers, outputs = robot.gripper.all(), robot.outputs.all()
         goal_id = None if state is None else state.goal_id
         goal = None if goal_id is None else _answered(partial(bus.read, keys.goal(goal_id), timeout=1.0))
@@ -78,13 +87,14 @@ def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: N
                 "mismatches": [vars(fault) for fault in faults],
                 "executor": state,
                 "goal": goal,
+                "servo": servo,
                 "grippers": grippers,
                 "outputs": outputs,
                 "scene": scene,
             }
         )
     else:
-        _print_status(robot, services, state, goal, scene, grippers, outputs)
+        _print_status(robot, services, state, goal, servo, scene, grippers, outputs)
         for fault in faults:
             out.print(f"\n{fault.kind}: {fault.message}.", style="yellow" if fault.harmless else "bold red")
     if missing := [one for one in _NEEDED if (health := services[one]) is None or not health.ready]:
@@ -111,6 +121,7 @@ def _print_status(
     services: Mapping[str, Health | None],
     state: ExecutorState | None,
     goal: GoalState | None,
+    servo: ServoState | None,
     scene: Scene | None,
     grippers: Mapping[str, GripperState],
     outputs: Mapping[str, OutputState],
@@ -121,6 +132,8 @@ def _print_status(
         rows += _state_rows(state)
     if goal is not None:
         rows += _hold_rows(goal)
+    if servo is not None and servo.collision_detection != "off":
+        rows.append(("collisions", _DETECTION[servo.collision_detection]))
     for gripper in grippers.values():
         width = "opening unknown" if gripper.width is None else f"open {gripper.width:.3f} m"
         rows.append((gripper.gripper, f"{width}, {gripper.status}"))
