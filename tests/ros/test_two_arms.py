@@ -7,15 +7,17 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from moveit_msgs.msg import Constraints, MotionPlanResponse, MoveItErrorCodes
+from moveit_msgs.srv import GetMotionPlan
 from pymoveit2 import MoveIt2
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
 import zarm
 from support.composed import two_pandas
-from support.harness import eventually
-from support.ros.moveit import DOWN
-from support.ros.node import served, spinning
+from support.harness import PATIENCE, eventually
+from support.ros.moveit import DOWN, SUCCESS, pose, request
+from support.ros.node import answer, served, spinning
 from support.ros.stack import Stack, stack
 from zarm.robot import Robot
 from zarm_contract.robot import RobotDescription, load_robot
@@ -81,6 +83,33 @@ def test_joints_of_a_group_are_a_goal(client: Node, pandas: RobotDescription, ar
     arm.move_to_configuration(goal.tolist())
     assert arm.wait_until_executed()
     assert robot.joint_state().position[7:] == pytest.approx(goal, abs=1e-3)
+
+
+def test_poses_of_both_tips_are_one_goal(client: Node, pandas: RobotDescription, arms: Stack, robot: Robot) -> None:
+    """As `setPoseTarget` for the tip of each arm makes it."""
+    served(client, "move_action")
+    ask = client.create_client(GetMotionPlan, "/plan_kinematic_path")
+    assert ask.wait_for_service(PATIENCE)
+
+    def planned(*goals: Constraints) -> MotionPlanResponse:
+        message = GetMotionPlan.Request(motion_plan_request=request(*goals))
+        return answer(ask.call_async(message), "it is planned").motion_plan_response
+
+    wanted = {"left": (0.5, 0.2, 0.45), "right": (0.5, -0.2, 0.35)}
+    both = Constraints()
+    for name, at in wanted.items():
+        one = pose(at, DOWN, TIP.format(name), frame="table")
+        both.position_constraints += one.position_constraints
+        both.orientation_constraints += one.orientation_constraints
+    found = planned(both)
+    assert found.error_code.val == SUCCESS
+    points = found.trajectory.joint_trajectory
+    end = dict(zip(points.joint_names, points.points[-1].positions, strict=True))
+    for name, at in wanted.items():
+        q = [end[joint] for joint in pandas.descriptor.joints]
+        assert robot.fk([q], group=name)[0].position == pytest.approx(at, abs=2e-3)
+    refused = planned(pose((0.5, 0.0, 0.4), DOWN, "table", frame="table"))
+    assert refused.error_code.val == MoveItErrorCodes.INVALID_LINK_NAME
 
 
 def test_inverse_kinematics_of_a_group_keep_the_other_arm(

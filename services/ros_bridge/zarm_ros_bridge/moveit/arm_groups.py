@@ -28,6 +28,17 @@ class ArmGroup:
         """The positions (rad) of its joints among those of the robot."""
         return tuple(positions[k] for k in self.joints)
 
+    @property
+    def arms(self) -> dict[str, RobotDescription]:
+        """The groups with one tip each that a group with several tips consists of; none of a group with one."""
+        robot = self.robot.whole or self.robot
+        groups = robot.descriptor.groups
+        if self.name is not None:
+            return {part: robot.group(part) for part in groups[self.name].groups}
+        arms = {name: robot.group(name) for name, group in groups.items() if group.tip_link is not None}
+        whole = any(arm.descriptor.joints == robot.descriptor.joints for arm in arms.values())
+        return {} if whole else arms
+
     def whole(self, part: Sequence[float], positions: Sequence[float]) -> Positions:
         """`positions` (rad) of the robot, with those of the group's joints in place of its own."""
         found = np.array(positions, np.float64)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from moveit_msgs.msg import MoveItErrorCodes as Val
@@ -92,6 +93,19 @@ class ConstraintSet:
 
     def __bool__(self) -> bool:
         return bool(self.joints or self.positions or self.orientations)
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """The links whose pose is constrained, each once."""
+        return tuple(dict.fromkeys(one.link for one in (*self.positions, *self.orientations)))
+
+    def of(self, links: Collection[str]) -> Self:
+        """The constraints on the poses of these links alone."""
+        part = copy(self)
+        part.joints = ()
+        part.positions = tuple(one for one in self.positions if one.link in links)
+        part.orientations = tuple(one for one in self.orientations if one.link in links)
+        return part
 
     def evaluate(self, position: Sequence[float]) -> Iterator[tuple[bool, float]]:
         """For each constraint, those of joints first, whether it holds at these joints (rad), and how far off they are

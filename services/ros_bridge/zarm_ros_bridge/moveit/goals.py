@@ -10,7 +10,17 @@ import numpy as np
 from moveit_msgs.msg import MoveItErrorCodes as Val
 from numpy.typing import NDArray
 
-from zarm_contract.messages import Goal, JointGoal, Joints, Pose, PoseGoal, PoseTolerance, TipFrame
+from zarm_contract.messages import (
+    Goal,
+    GroupGoal,
+    GroupsGoal,
+    JointGoal,
+    Joints,
+    Pose,
+    PoseGoal,
+    PoseTolerance,
+    TipFrame,
+)
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.frames import pose_of, rotated_by
 from zarm_ros_bridge.moveit.constraint_set import FREE, ConstraintSet, Orientation, PointRegion
@@ -111,6 +121,45 @@ def pose_goal(constraints: ConstraintSet, robot: RobotDescription, tip: Array, f
         tolerance=tolerance if any(about) or any(position) or radius else None,
         tip=None if plain else TipFrame(link=link, offset=Pose(position=offset)),
     )
+
+
+def tips_goal(
+    constraints: ConstraintSet, arms: Mapping[str, RobotDescription], pose: Callable[[str], Array], field: str
+) -> GroupsGoal:
+    """The goal of a set that constrains the poses of links of some of the `arms`; the others stand. `pose` gives that of a link (4, 4) now. Raises
+    Refusal.
+    """
+    if constraints.joints:
+        raise Refusal(
+            Val.INVALID_GOAL_CONSTRAINTS,
+            "joints and poses of a group with several tips are not one goal; constrain joints, or poses of links",
+            f"{field}.joint_constraints",
+        )
+    links: dict[str, list[str]] = {}
+    for link in constraints.links:
+        links.setdefault(_arm_of(link, arms, field), []).append(link)
+    goals = [
+        GroupGoal(
+            group=name,
+            goal=pose_goal(constraints.of(moved), arms[name], pose(arms[name].descriptor.tip_link), field),
+        )
+        for name, moved in links.items()
+    ]
+    return GroupsGoal(kind="groups", goals=tuple(goals))
+
+
+def _arm_of(link: str, arms: Mapping[str, RobotDescription], field: str) -> str:
+    """The arm with the fewest joints among those that move a link. Raises Refusal if none does."""
+    moving = {}
+    for name, arm in arms.items():
+        chain = {joint.name for joint in arm.urdf.chain(arm.descriptor.base_link, link)}
+        if chain & {*arm.descriptor.joints}:
+            moving[name] = len(arm.descriptor.joints)
+    if not moving:
+        raise Refusal(
+            Val.INVALID_LINK_NAME, f"{link} is moved by none of {', '.join(arms)}; constrain a link of theirs", field
+        )
+    return min(moving, key=moving.__getitem__)
 
 
 def _goal(

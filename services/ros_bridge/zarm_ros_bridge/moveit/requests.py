@@ -13,6 +13,7 @@ from moveit_msgs.msg import MoveItErrorCodes as Val
 from zarm_contract.errors import PlanningFailed, ZarmError
 from zarm_contract.messages import (
     Goal,
+    GroupsGoal,
     IkRequest,
     Joints,
     Move,
@@ -29,7 +30,7 @@ from zarm_ros_bridge.moveit.arm_groups import ArmGroup, ArmGroups
 from zarm_ros_bridge.moveit.constraint_set import ConstraintSet
 from zarm_ros_bridge.moveit.curves import Curves, Speeds
 from zarm_ros_bridge.moveit.error_codes import Refusal
-from zarm_ros_bridge.moveit.goals import goals_of
+from zarm_ros_bridge.moveit.goals import goals_of, tips_goal
 from zarm_ros_bridge.moveit.path_constraints import constrained_plan, kept
 from zarm_ros_bridge.moveit.planners import along
 from zarm_ros_bridge.moveit.states import Positions, start_of
@@ -105,7 +106,14 @@ class MotionPlanRequests:
         constraints = self._along_way(None, request)
         return self._first(
             self._goals(request, begin, group),
-            lambda goal: self._kept(PlanRequest(goal=goal, **options), request, constraints, begin, group, ask),
+            lambda goal: self._kept(
+                PlanRequest(goal=goal, **options | {"group": _named(group, goal)}),
+                request,
+                constraints,
+                begin,
+                group,
+                ask,
+            ),
         )
 
     def plan_sequence(self, items: Sequence[Any], ask: Ask) -> Plan:
@@ -172,7 +180,7 @@ class MotionPlanRequests:
                 )
             (goal,) = goals
         blend = radius if self._blends(i, items) else 0.0
-        return Move(kind="move", goal=goal, group=group.name, blend=blend), scales
+        return Move(kind="move", goal=goal, group=_named(group, goal), blend=blend), scales
 
     def _along_way(self, curve: str | None, request: Any) -> ConstraintSet:
         """The path constraints of a request; positions for CIRC and POLYLINE are points of the curve, and none."""
@@ -217,6 +225,9 @@ class MotionPlanRequests:
             for i, one in enumerate(request.goal_constraints)
         ]
         robot = group.robot
+        if group.arms and any(one.links for one in sets):
+            now = self._frames.links.poses(begin)
+            return [tips_goal(one, group.arms, now.__getitem__, f"goal_constraints[{i}]") for i, one in enumerate(sets)]
         tip = lambda: self._frames.links.poses(begin)[robot.descriptor.tip_link]  # noqa: E731  goals of joints need none
 
         def ik(goal: PoseGoal, wanted: Mapping[str, float]) -> list[Joints]:
@@ -261,6 +272,12 @@ class MotionPlanRequests:
         def plan(wanted: PlanRequest) -> Plan:
             if not constraints:
                 return ask(wanted)
+            if isinstance(wanted.goal, GroupsGoal):
+                raise Refusal(
+                    Val.INVALID_MOTION_PLAN,
+                    "path constraints are kept by one tip; plan for its group",
+                    "path_constraints",
+                )
             return constrained_plan(
                 wanted, constraints, begin, group.robot.descriptor.tip_link, self._frames.links, ask
             )
@@ -289,6 +306,11 @@ class MotionPlanRequests:
         points = np.array([self._frames.links.poses(at)[name][:3, 3] for at in plan.trajectory.position])
         way = np.linalg.norm(np.diff(points, axis=0), axis=1)
         return float(np.max(way / np.diff(plan.trajectory.time)))
+
+
+def _named(group: ArmGroup, goal: Goal) -> str | None:
+    """The group that a request names: a goal of several groups names them itself."""
+    return None if isinstance(goal, GroupsGoal) else group.name
 
 
 def ask(engine: Engine, request: PlanRequest | ProgramRequest) -> Plan:
