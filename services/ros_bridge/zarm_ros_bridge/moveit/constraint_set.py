@@ -97,7 +97,8 @@ class ConstraintSet:
     @property
     def links(self) -> tuple[str, ...]:
         """The links whose pose is constrained, each once."""
-        return tuple(dict.fromkeys(one.link for one in (*self.positions, *self.orientations)))
+        placed: tuple[PointRegion | Orientation, ...] = (*self.positions, *self.orientations)
+        return tuple(dict.fromkeys(one.link for one in placed))
 
     def of(self, links: Collection[str]) -> Self:
         """The constraints on the poses of these links alone."""
