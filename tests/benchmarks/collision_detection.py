@@ -49,6 +49,8 @@ LEARNING = 5.0
 """Minutes of motion from which the limits come."""
 LOOKED = 0.3
 """How long (s) a push lasts."""
+ATTEMPTS = 50
+"""Goals that are tried from one place."""
 
 
 class Cell:
@@ -115,7 +117,10 @@ class Cell:
         )
 
     def _planned(self) -> TimedTrajectory:
-        while True:
+        for attempt in count():
+            if attempt > ATTEMPTS:  # it rests too near to itself to be planned for
+                self.arm.displace(np.subtract(ROBOT.descriptor.home, self.position))
+                self.time += 1.0
             goal = tuple(self.rng.uniform([-3, -2.6, -2.2, -3, -3, -3], [3, -0.5, 2.2, 3, 3, 3]).tolist())
             try:
                 plan = self.handlers.plan(
@@ -124,6 +129,7 @@ class Cell:
             except ZarmError:
                 continue
             return TimedTrajectory.of(plan.trajectory, ROBOT.descriptor.joints)
+        raise AssertionError
 
 
 def with_limits(limits: Array | None) -> RobotDescription:
