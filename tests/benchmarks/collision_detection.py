@@ -117,8 +117,10 @@ class Cell:
         )
 
     def _planned(self) -> TimedTrajectory:
-        for attempt in count():
-            if attempt > ATTEMPTS:  # it rests too near to itself to be planned for
+        attempts = 0
+        while True:
+            attempts += 1
+            if attempts == ATTEMPTS:  # it rests too near to itself to be planned for
                 self.arm.displace(np.subtract(ROBOT.descriptor.home, self.position))
                 self.time += 1.0
             goal = tuple(self.rng.uniform([-3, -2.6, -2.2, -3, -3, -3], [3, -0.5, 2.2, 3, 3, 3]).tolist())
@@ -129,7 +131,6 @@ class Cell:
             except ZarmError:
                 continue
             return TimedTrajectory.of(plan.trajectory, ROBOT.descriptor.joints)
-        raise AssertionError
 
 
 def with_limits(limits: Array | None) -> RobotDescription:

@@ -7,8 +7,10 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Point, PoseStamped, Quaternion
+from geometry_msgs.msg import Pose as RosPose
 from moveit_msgs.msg import Constraints, MotionPlanResponse, MoveItErrorCodes
-from moveit_msgs.srv import GetMotionPlan
+from moveit_msgs.srv import GetMotionPlan, GetPositionIK
 from pymoveit2 import MoveIt2
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
@@ -121,6 +123,39 @@ def test_inverse_kinematics_of_a_group_keep_the_other_arm(
     q = [dict(zip(found.name, found.position, strict=True))[name] for name in pandas.descriptor.joints]
     assert robot.fk([q], group="right")[0].position == pytest.approx((0.4, -0.2, 0.5), abs=1e-4)
     assert q[:7] == pytest.approx(robot.joint_state().position[:7], abs=1e-9)
+
+
+def test_inverse_kinematics_of_both_arms_go_together(
+    client: Node, pandas: RobotDescription, arms: Stack, robot: Robot
+) -> None:
+    ask = client.create_client(GetPositionIK, "/compute_ik")
+    assert ask.wait_for_service(PATIENCE)
+    wanted = {"left": (0.5, 0.13, 0.5), "right": (0.5, -0.13, 0.4)}
+
+    def asked(names: list[str]) -> GetPositionIK.Response:
+        message = GetPositionIK.Request()
+        message.ik_request.group_name = "arm"
+        message.ik_request.avoid_collisions = True
+        message.ik_request.ik_link_names = names
+        for at in wanted.values():
+            stamped = PoseStamped(
+                pose=RosPose(position=Point(**dict(zip("xyz", at, strict=True))), orientation=Quaternion(x=1.0, w=0.0))
+            )
+            stamped.header.frame_id = "table"
+            message.ik_request.pose_stamped_vector.append(stamped)
+        return answer(ask.call_async(message), "it is solved")
+
+    found = asked([TIP.format(name) for name in wanted])
+    assert found.error_code.val == SUCCESS
+    state = found.solution.joint_state
+    joints = dict(zip(state.name, state.position, strict=True))
+    q = [joints[name] for name in pandas.descriptor.joints]
+    for name, at in wanted.items():
+        assert robot.fk([q], group=name)[0].position == pytest.approx(at, abs=1e-4)
+    (result,) = robot.check([q])
+    assert not result.in_collision
+    for names in ([TIP.format("left")], [TIP.format("left"), "left_panda_hand"]):
+        assert asked(names).error_code.val == MoveItErrorCodes.INVALID_GOAL_CONSTRAINTS
 
 
 def test_an_object_is_attached_to_the_arm_that_is_named(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,3 +70,17 @@ class ArmGroups:
         if tooled is self._engine.robot:
             return group
         return replace(group, robot=tooled if group.name is None else tooled.group(group.name))
+
+
+def arm_of(link: str, arms: Mapping[str, RobotDescription], field: str) -> str:
+    """The arm with the fewest joints among those that move a link. Raises Refusal if none does."""
+    moving = {}
+    for name, arm in arms.items():
+        chain = {joint.name for joint in arm.urdf.chain(arm.descriptor.base_link, link)}
+        if chain & {*arm.descriptor.joints}:
+            moving[name] = len(arm.descriptor.joints)
+    if not moving:
+        raise Refusal(
+            Val.INVALID_LINK_NAME, f"{link} is moved by none of {', '.join(arms)}; constrain a link of theirs", field
+        )
+    return min(moving, key=moving.__getitem__)

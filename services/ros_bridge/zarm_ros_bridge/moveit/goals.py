@@ -23,6 +23,7 @@ from zarm_contract.messages import (
 )
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.frames import pose_of, rotated_by
+from zarm_ros_bridge.moveit.arm_groups import arm_of
 from zarm_ros_bridge.moveit.constraint_set import FREE, ConstraintSet, Orientation, PointRegion
 from zarm_ros_bridge.moveit.error_codes import Refusal
 
@@ -137,7 +138,7 @@ def tips_goal(
         )
     links: dict[str, list[str]] = {}
     for link in constraints.links:
-        links.setdefault(_arm_of(link, arms, field), []).append(link)
+        links.setdefault(arm_of(link, arms, field), []).append(link)
     goals = [
         GroupGoal(
             group=name,
@@ -146,20 +147,6 @@ def tips_goal(
         for name, moved in links.items()
     ]
     return GroupsGoal(kind="groups", goals=tuple(goals))
-
-
-def _arm_of(link: str, arms: Mapping[str, RobotDescription], field: str) -> str:
-    """The arm with the fewest joints among those that move a link. Raises Refusal if none does."""
-    moving = {}
-    for name, arm in arms.items():
-        chain = {joint.name for joint in arm.urdf.chain(arm.descriptor.base_link, link)}
-        if chain & {*arm.descriptor.joints}:
-            moving[name] = len(arm.descriptor.joints)
-    if not moving:
-        raise Refusal(
-            Val.INVALID_LINK_NAME, f"{link} is moved by none of {', '.join(arms)}; constrain a link of theirs", field
-        )
-    return min(moving, key=moving.__getitem__)
 
 
 def _goal(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Vector3
@@ -19,7 +20,7 @@ from zarm_ros_bridge.convert.poses import ros_pose
 from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
-from zarm_ros_bridge.moveit.arm_groups import ArmGroup, ArmGroups
+from zarm_ros_bridge.moveit.arm_groups import ArmGroup, ArmGroups, arm_of
 from zarm_ros_bridge.moveit.constraint_set import ConstraintSet
 from zarm_ros_bridge.moveit.error_codes import Refusal
 from zarm_ros_bridge.moveit.states import Positions, robot_state, start_of
@@ -27,6 +28,16 @@ from zarm_ros_bridge.moveit.states import Positions, robot_state, start_of
 _SECONDS = 65.0
 """Longest wait (s) for a batch, for which the planner allows 60 s."""
 _BATCH = 1000  # most states in one request
+_FEW = 12
+"""Solutions of each arm, among which those are sought that go together."""
+
+
+class _Wanted(NamedTuple):
+    """The pose of a link, None for the tip, that the joints of a group are to reach."""
+
+    group: ArmGroup
+    pose: Pose
+    tip: TipFrame | None
 
 
 class Kinematics:
@@ -60,40 +71,52 @@ class Kinematics:
         response.pose_stamped, response.fk_link_names = poses, names
 
     def ik(self, request: Any, response: Any) -> None:
-        """Fill in joints for one pose. Raises Refusal, UnknownFrame, and PlanningFailed without a solution."""
+        """Fill in joints for a pose, or for one of each of several arms. Raises Refusal, UnknownFrame, and PlanningFailed without a solution."""
         asked = request.ik_request
-        group = self._groups.of(asked.group_name)
-        if len(asked.ik_link_names) > 1 or len(asked.pose_stamped_vector) > 1:
-            raise Refusal(
-                Val.INVALID_GOAL_CONSTRAINTS,
-                "one link at a time; ask for each arm by its group",
-                "ik_request.pose_stamped_vector",
-            )
+        wanted = self._wanted(asked, self._groups.of(asked.group_name))
         near = self._state(asked.robot_state)
         limits = ConstraintSet(asked.constraints, self._engine, self._frames, "ik_request.constraints")
-        pose, tip = self._ik_goal(asked, group)
-        found = self._engine.client.request_ik(
-            IkRequest(
-                poses=(pose,),
-                tip=tip,
-                group=group.name,
-                near=near,
-                max_solutions=64 if limits else 1,
-                collision_free=asked.avoid_collisions,
-            )
-        )
-        states = [group.whole(joints, near) for joints in found.solutions[0]]
-        solutions = [state for state in states if not limits or limits.holds(state)]
-        if not solutions:
+        if len(wanted) == 1:
+            states = self._solutions(wanted[0], near, 64 if limits else 1, collision_free=asked.avoid_collisions)
+        else:
+            states = self._together(wanted, near, collision_free=asked.avoid_collisions)
+        solution = next((state for state in states if not limits or limits.holds(state)), None)
+        if solution is None:
             raise PlanningFailed(
-                "no joints within their ranges reach the pose"
+                f"no joints within their ranges reach the pose{'s' if len(wanted) > 1 else ''}"
                 + (" free of collision" if asked.avoid_collisions else "")
                 + (" and keep the constraints" if limits else ""),
                 code="unreachable",
                 field="ik_request",
             )
-        response.solution = robot_state(self._engine.joints, solutions[0])
+        response.solution = robot_state(self._engine.joints, solution)
         response.solution.joint_state.header.stamp = ros_time(0.0)
+
+    def _solutions(self, wanted: _Wanted, near: Positions, count: int, *, collision_free: bool) -> list[Positions]:
+        """Joints of the robot that reach one pose, nearest first."""
+        group, pose, tip = wanted
+        asked = IkRequest(
+            poses=(pose,), tip=tip, group=group.name, near=near, max_solutions=count, collision_free=collision_free
+        )
+        return [group.whole(joints, near) for joints in self._engine.client.request_ik(asked).solutions[0]]
+
+    def _together(self, wanted: Sequence[_Wanted], near: Positions, *, collision_free: bool) -> list[Positions]:
+        """Joints of the robot that reach the poses of all arms, nearest first. The arms may be in each other's way, so that each offers a few."""
+        offers = [
+            [one.group.part(state) for state in self._solutions(one, near, _FEW, collision_free=False)]
+            for one in wanted
+        ]
+        states = []
+        for chosen in itertools.product(*offers):
+            state = near
+            for one, part in zip(wanted, chosen, strict=True):
+                state = one.group.whole(part, state)
+            states.append(state)
+        states.sort(key=lambda state: float(np.abs(np.subtract(state, near)).max()))
+        if not collision_free or not states:
+            return states
+        results = self._engine.client.check(states[:_BATCH], timeout=_SECONDS)
+        return [state for state, result in zip(states, results, strict=False) if not result.in_collision]
 
     def check(self, request: Any, response: Any) -> None:
         """Fill in whether a state is valid, and what it touches. Raises Refusal."""
@@ -151,22 +174,41 @@ class Kinematics:
                 contact.normal = Vector3(x=x, y=y, z=z)
         return contact
 
-    def _ik_goal(self, asked: Any, group: ArmGroup) -> tuple[Pose, TipFrame | None]:
-        """The pose that is asked for, and of which link, None for the tip."""
-        robot, links = group.robot, self._frames.links
-        stamped = asked.pose_stamped_vector[0] if asked.pose_stamped_vector else asked.pose_stamped
-        names = list(asked.ik_link_names) or [asked.ik_link_name]
-        link = known_as(names[0], links.links) or robot.descriptor.tip_link
+    def _wanted(self, asked: Any, group: ArmGroup) -> list[_Wanted]:
+        """The poses that are asked for, and of which link each is. Raises Refusal."""
+        if asked.pose_stamped_vector:
+            poses = list(asked.pose_stamped_vector)
+            names = list(asked.ik_link_names) or [""]
+        else:
+            poses, names = [asked.pose_stamped], [*asked.ik_link_names[:1]] or [asked.ik_link_name]
+        if len(poses) != len(names):
+            raise Refusal(
+                Val.INVALID_GOAL_CONSTRAINTS,
+                f"{len(names)} links for {len(poses)} poses; name the link of each in ik_link_names",
+                "ik_request.pose_stamped_vector",
+            )
+        wanted = [self._one_wanted(name, stamped, group) for name, stamped in zip(names, poses, strict=True)]
+        if len({one.group.name for one in wanted}) < len(wanted):
+            raise Refusal(
+                Val.INVALID_GOAL_CONSTRAINTS, "one link of each arm has a pose, not two", "ik_request.ik_link_names"
+            )
+        return wanted
+
+    def _one_wanted(self, name: str, stamped: Any, group: ArmGroup) -> _Wanted:
+        links = self._frames.links
+        link = known_as(name, links.links) or group.robot.descriptor.tip_link
         if link not in links.links:
             raise Refusal(
                 Val.INVALID_LINK_NAME,
-                f"the robot has no link {names[0]!r}; choose among {', '.join(links.links)}",
+                f"the robot has no link {name!r}; choose among {', '.join(links.links)}",
                 "ik_request.ik_link_name",
             )
+        if arms := group.arms:
+            group = self._groups.of(arm_of(link, arms, "ik_request.ik_link_name"))
         pose = self._frames.in_base(
             ros_pose_of(stamped.pose, "ik_request.pose_stamped.pose"), stamped.header, "ik_request.pose_stamped.header"
         )
-        return pose, None if link == robot.descriptor.tip_link else TipFrame(link=link)
+        return _Wanted(group, pose, None if link == group.robot.descriptor.tip_link else TipFrame(link=link))
 
     def _state(self, state: Any) -> Positions:
         given = start_of(state, self._frames, self._engine.joints, "robot_state")
