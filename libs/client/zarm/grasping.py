@@ -38,7 +38,7 @@ class Grasping(Calls):
 
     def pick(
         self,
-        item: str,
+        item: str | None,
         grasp: Grasp,
         *,
         gripper: str | None = None,
@@ -51,7 +51,8 @@ class Grasping(Calls):
         group: str | None = None,
         mass: float | None = None,
     ) -> GripperState:
-        """Grasp the object `item` of the scene, attach it to the robot and lift it. Returns the state of the gripper.
+        """Grasp the object `item` of the scene, attach it to the robot and lift it. Returns the state of the gripper. With None it is whichever
+        of the objects in `touch` the fingers have closed on.
 
         `grasp` is where the tip closes the gripper: a pose, one with freedom (`zarm.PoseGoal`), or `zarm.AnyOf` several. The steps are
         reach (the last `approach` m straight along the tool's z, with the gripper open, or `open_to` m), close, attach, and lift (`lift`
@@ -63,11 +64,10 @@ class Grasping(Calls):
         fails, which the message names, and ExecutionFailed if the fingers close on nothing; then the robot stands where that step
         began or ended.
         """
-        allowed = (item, *touch)
-        with self._step("reach", item):
-            if item not in (objects := self._scene.objects()):
-                known = ", ".join(objects) or "none"
-                raise InvalidRequest(f"there is no object {item} in the scene, which holds {known}", field="item")
+        allowed = (*touch,) if item is None else (item, *touch)
+        sought = item or "what is there"
+        with self._step("reach", sought):
+            self._demand_known(item, allowed)
             goal = _pose_goal(grasp, "grasp")
             if goal.approach is None:
                 goal = goal.model_copy(update={"approach": Offset(approach, (0.0, 0.0, 1.0), touch=allowed)})
@@ -75,13 +75,15 @@ class Grasping(Calls):
             plan = self._planner.plan(goal, openings=openings, group=group)
             self._open(openings)
             self._executor.execute(plan)
-        with self._step("close", item):
+        with self._step("close", sought):
             held = self._close(gripper, width, force)
-        with self._step("attach", item):
+        with self._step("attach", sought):
             link = held.touch_links[-1] if group is not None else None
-            self._scene.attach(item, touch_links=held.touch_links, link=link, mass=mass)
-        with self._step("lift", item):
-            self._rise(group, (0.0, 0.0, lift), (*touch, *self._beneath(item)))
+            name = self._gripped(held, allowed) if item is None else item
+            self._scene.attach(name, touch_links=held.touch_links, link=link, mass=mass)
+        with self._step("lift", name):
+            beside = (one for one in allowed if one != name)
+            self._rise(group, (0.0, 0.0, lift), (*beside, *self._beneath(name)))
         return held
 
     def place(
@@ -132,6 +134,27 @@ class Grasping(Calls):
         with self._step("retreat", name):
             self._rise(group, (0.0, 0.0, -retreat), (name, *allowed), frame="tool")
         return state
+
+    def _demand_known(self, item: str | None, allowed: Sequence[str]) -> None:
+        """Raises InvalidRequest unless what is to be picked is in the scene."""
+        objects = self._scene.objects()
+        if item is not None and item not in objects:
+            known = ", ".join(objects) or "none"
+            raise InvalidRequest(f"there is no object {item} in the scene, which holds {known}", field="item")
+        if not allowed:
+            raise InvalidRequest("name the object, or in `touch` those that may be there", field="item")
+
+    def _gripped(self, held: GripperState, allowed: Sequence[str]) -> str:
+        """The one of the `allowed` objects that the fingers touch: which is nearest to the robot. Raises ExecutionFailed if there is none."""
+        (found,) = self._planner.check()
+        pair = set(found.pair or ())
+        names = pair & {*allowed}
+        if not names or not pair & {*held.touch_links}:
+            raise ExecutionFailed(
+                f"the fingers touch none of {', '.join(allowed)}; see what they have closed on",
+                code="tolerance_violated",
+            )
+        return names.pop()
 
     def _opening(self, gripper: str | None, width: float | None) -> dict[str, float]:
         """The gripper with the opening that it shall have, by default the widest."""

@@ -72,6 +72,20 @@ def test_of_several_grasps_a_free_one_is_chosen(robot: zarm.Robot) -> None:
     assert held.status == "reached"
 
 
+def test_what_the_fingers_touch_is_attached(robot: zarm.Robot) -> None:
+    robot.scene.add(zarm.Cuboid("cup", size=(0.04, 0.04, 0.05), position=(0.5, 0.2, 0.025)))
+    robot.pick(None, GRASP, width=0.04, touch=("cup", "box"))
+    assert list(robot.scene.attached()) == ["box"]
+
+
+def test_fingers_that_touch_nothing_known_attach_nothing(robot: zarm.Robot) -> None:
+    robot.scene.add(zarm.Cuboid("cup", size=(0.04, 0.04, 0.05), position=(0.5, 0.2, 0.025)))
+    robot.scene.remove("box")
+    with pytest.raises(zarm.ExecutionFailed, match="attach what is there: the fingers touch none of cup"):
+        robot.pick(None, GRASP, width=0.04, touch=("cup",))
+    assert robot.scene.attached() == {}
+
+
 def test_fingers_that_close_on_nothing_end_the_pick_at_close(robot: zarm.Robot) -> None:
     with pytest.raises(zarm.ExecutionFailed, match="close box: the fingers have closed on nothing"):
         robot.pick("box", GRASP)
@@ -108,6 +122,7 @@ def test_fingers_do_not_open_into_what_stands_beside(robot: zarm.Robot) -> None:
     ("act", "message"),
     [
         (lambda robot: robot.pick("cup", GRASP), "there is no object cup in the scene, which holds table, box"),
+        (lambda robot: robot.pick(None, GRASP), "name the object, or in `touch` those that may be there"),
         (lambda robot: robot.pick("box", (0.0,) * 6), "give a zarm.Pose"),
         (lambda robot: robot.place(THERE), "the robot carries nothing"),
         (lambda robot: robot.place(THERE, item="box"), "does not carry box"),
