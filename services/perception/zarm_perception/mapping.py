@@ -178,12 +178,11 @@ class Mapping:
                 with self._lock:
                     images, self._waiting = self._waiting, {}
                 for name, (source, image) in images.items():
-                    if self._sources.get(name) is source:  # and not another camera of that name
-                        try:
-                            self._take(source, image)
-                        except Exception as error:  # if this ended, the map would silently be old
-                            log.exception("an image is not in the map camera=%s", name)
-                            source.refused(f"a fault of zarm, see the log: {error}")
+                    try:
+                        self._take(source, image)
+                    except Exception as error:  # if this ended, the map would silently be old
+                        log.exception("an image is not in the map camera=%s", name)
+                        source.refused(f"a fault of zarm, see the log: {error}")
             if time.monotonic() >= due:
                 due = time.monotonic() + _STATE_PERIOD
                 self._report(self._state())
@@ -200,6 +199,8 @@ class Mapping:
             return
         begun = time.perf_counter()
         with self._map_lock:
+            if self._sources.get(source.camera.name) is not source:
+                return  # it was removed, or replaced, and the map perhaps cleared since then
             seen = self._voxels.integrate(image.depth, source.view(joints), robot, self._padding)
             self._publish_changes()
         pixels = image.depth.size

@@ -125,10 +125,6 @@ def replanner(peers: Peers, checker: Checker) -> Iterator[Replanner]:
         yield running
 
 
-def refuse() -> None:
-    raise ExecutionRefused("too late", code="start_state_mismatch")
-
-
 def test_a_blocked_goal_is_planned_from_a_state_ahead_to_its_end_no_faster_than_it_was(
     peers: Peers, replanner: Replanner
 ) -> None:
@@ -165,9 +161,15 @@ def test_a_pose_that_other_joints_reach_is_gone_to_where_something_stands_at_the
 def test_what_comes_too_late_is_planned_again_from_a_later_state_and_then_the_robot_stops_first(
     peers: Peers, replanner: Replanner
 ) -> None:
+    refusals: list[int] = []
+
+    def refuse() -> None:
+        refusals.append(len(peers.asked))
+        raise ExecutionRefused("too late", code="start_state_mismatch")
+
     peers.executor = refuse
     replanner.on_validity(FOLLOWED_GOAL, PATH.duration - 0.1)
-    eventually(lambda: len(peers.asked) == 4, "it was tried four times")
+    eventually(lambda: len(refusals) == 4, "it was tried four times")
     leads = [request.timeout for request in peers.asked]
     assert leads == sorted(leads)
     assert leads[-1] <= LONGEST
