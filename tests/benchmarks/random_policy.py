@@ -1,4 +1,4 @@
-"""A policy that knows nothing, in physics: `python tests/benchmarks/random_policy.py [--episodes 100] [--seconds 1.5]`.
+"""A policy that knows nothing, in physics: `python tests/benchmarks/random_policy.py [--episodes 100] [--seconds 1.5] [--seed 0]`.
 
 An M1013, its mass that of its geometry, stands in a cell with a floor, a post and a shelf, and is driven by what a random policy says, in turns: single positions 30 times a second,
 as LeRobot sends actions, and chunks of 16 points. Each episode walks at random from where the robot is, at up to 0.15 rad per action. *Contacts* are those that the simulation
@@ -89,8 +89,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--seconds", type=float, default=1.5, help="of an episode")
+    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    rng, watch = np.random.default_rng(0), Watch()
+    rng, watch = np.random.default_rng(options.seed), Watch()
     moved: dict[str, list[float]] = {"positions": [], "chunks": []}
     turned_down, ended = {"positions": 0, "chunks": 0}, {"positions": 0, "chunks": 0}
     with ExitStack() as stack:
