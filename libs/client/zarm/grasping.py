@@ -145,7 +145,7 @@ class Grasping(Calls):
             raise InvalidRequest("name the object, or in `touch` those that may be there", field="item")
 
     def _gripped(self, held: GripperState, allowed: Sequence[str]) -> str:
-        """The one of the `allowed` objects that the fingers touch: which is nearest to the robot. Raises ExecutionFailed if there is none."""
+        """The one of the `allowed` objects that the fingers touch, by the nearest pair of the check. Raises ExecutionFailed if there is none."""
         (found,) = self._planner.check()
         pair = set(found.pair or ())
         names = pair & {*allowed}

@@ -31,7 +31,7 @@ from zarm_cli.output import (
 from zarm_contract.codec import CONTRACT
 from zarm_contract.errors import InternalError, Unavailable
 from zarm_contract.messages import (
-    CollisionDetection,
+    CollisionDetectionState,
     ExecutorState,
     GoalState,
     GripperState,
@@ -53,7 +53,7 @@ _NEEDED = ("planner", "executor")
 _PERIOD = 0.1  # interval (s) of `watch`
 _STALE = 1.0  # s after which a joint state is no longer shown
 
-_DETECTION: Mapping[CollisionDetection, str] = {
+_DETECTION: Mapping[CollisionDetectionState, str] = {
     "on": "felt by the efforts of the joints",
     "no_inertia": "not felt: the URDF does not state the inertia of each link",
     "no_effort": "not felt: the driver reports no efforts",

@@ -247,7 +247,7 @@ class ExternalTorque(ShortMessage):
     joint: Name | None = None
 
 
-CollisionDetection = Literal["off", "on", "no_inertia", "no_effort"]
+CollisionDetectionState = Literal["off", "on", "no_inertia", "no_effort"]
 """Off: no limits are set. On. The URDF does not state the inertia of each link. The driver reports no efforts."""
 
 
@@ -272,5 +272,5 @@ class ServoState(ShortMessage):
     check: NonNegative = 0.0
     lost_objects: tuple[Name, ...] = ()
     pose_refused: Problem | None = None
-    collision_detection: CollisionDetection = "off"
+    collision_detection: CollisionDetectionState = "off"
     session: ServoSession | None = None

@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_contract import messages
-from zarm_contract.messages import Attached, ExecutorState, ExternalTorque, JointState
+from zarm_contract.messages import Attached, CollisionDetectionState, ExecutorState, ExternalTorque, JointState
 from zarm_geometry.dynamics import Dynamics
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.world.scene_monitor import SceneMonitor
@@ -66,7 +65,7 @@ class CollisionDetection:
         self._measured = False
 
     @property
-    def state(self) -> messages.CollisionDetection:
+    def state(self) -> CollisionDetectionState:
         """Whether collisions are detected, and if not, why."""
         if self._limits is None:
             return "off"

@@ -14,7 +14,7 @@ from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.errors import Problem, ZarmError
 from zarm_contract.messages import (
     Authority,
-    CollisionDetection,
+    CollisionDetectionState,
     GoalState,
     GoalTrajectory,
     SceneRevision,
@@ -80,7 +80,7 @@ class Guard:
         *,
         session: Callable[[], OpenSession | None],
         validity: Callable[[FollowedGoal | None, float | None], object],
-        collision_detection: Callable[[], CollisionDetection],
+        collision_detection: Callable[[], CollisionDetectionState],
     ) -> None:
         self._world, self._session, self._report_validity = world, session, validity
         self._collision_detection = collision_detection
