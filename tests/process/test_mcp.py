@@ -250,6 +250,8 @@ def test_an_agent_picks_and_places(tmp_path: Path, with_twin: bool) -> None:
         held = await agent.get("pick", name="cube", position=[0.5, 0.1, 0.03], width=0.04)
         assert held["held"] == "cube"
         assert [each["object"]["name"] for each in (await agent.get("get_scene"))["attached"]] == ["cube"]
+        if twin is not None:
+            assert await anyio.to_thread.run_sync(opening, twin) == pytest.approx(0.04, abs=0.001)
         await agent.get("place", position=[0.5, -0.15, 0.035])
         (cube,) = [item for item in (await agent.get("get_scene"))["objects"] if item["name"] == "cube"]
         assert cube["position"][1] == pytest.approx(-0.15, abs=0.01)
@@ -258,6 +260,12 @@ def test_an_agent_picks_and_places(tmp_path: Path, with_twin: bool) -> None:
         (tmp_path / "twin").mkdir()
         twin = twin_of(stack, tmp_path / "twin", "panda") if with_twin else None
         Cell(stack, tmp_path, "panda").serve(use, twin=twin, keep_out={})
+
+
+def opening(endpoint: str) -> float | None:
+    """How far the gripper of the robot on this bus is open."""
+    with zarm.connect(endpoint=endpoint) as robot:
+        return robot.gripper.state().width
 
 
 def twin_of(stack: ExitStack, folder: Path, name: str) -> str:

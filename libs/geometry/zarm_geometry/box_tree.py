@@ -9,6 +9,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_geometry import rows
 from zarm_geometry.kernels.arrays import WorldArrays
 from zarm_geometry.kernels.median_split import median_split
 from zarm_geometry.kernels.refit import centers, refit
@@ -49,22 +50,43 @@ class BoxTree(NamedTuple):
         return self._replace(rows=shapes, boxes=boxes)
 
 
-def forest(trees: Sequence[BoxTree], margin: float) -> WorldArrays:
-    """All trees side by side, for kernels: their shapes one after the other, with `margin` (m) around them."""
-    shapes = np.cumsum([0, *(len(tree.rows) for tree in trees)])[:-1].tolist()
-    nodes = np.cumsum([0, *(len(tree.skip) for tree in trees)])[:-1].tolist()
-    return WorldArrays(
+def joined(trees: Sequence[BoxTree], margin: float) -> WorldArrays:
+    """One tree over all trees, for kernels: their shapes one after the other, with `margin` (m) around them."""
+    first_shape = np.cumsum([0, *(len(tree.rows) for tree in trees)])[:-1]
+    counts = np.array([len(tree.skip) for tree in trees])
+    first_node = np.cumsum(counts) - counts
+    boxes = np.concatenate([tree.boxes for tree in trees])
+    grown = np.flatnonzero(counts)
+    lower = np.minimum.reduceat(boxes[:, :3] - boxes[:, 3:], first_node[grown])
+    upper = np.maximum.reduceat(boxes[:, :3] + boxes[:, 3:], first_node[grown])
+    over = BoxTree.over(rows.boxes(lower, upper))
+    # The nodes of a tree are below a node of `over`, or in its place if there is a single root, or no other tree.
+    bottom = over.leaf >= 0
+    below = grown[over.order[over.leaf[bottom]]]
+    own = ~bottom
+    own[bottom] = [len(grown) > 1 and trees[index].skip[0] != counts[index] for index in below]
+    sizes = own.astype(np.intp)
+    sizes[bottom] += counts[below]
+    place = np.concatenate([[0], np.cumsum(sizes)])
+    begin = np.zeros(len(trees), np.intp)
+    begin[below] = place[1:][bottom] - counts[below]
+    of = np.repeat(np.arange(len(trees)), counts)
+    there, at = place[:-1][own], np.arange(len(of)) + (begin - first_node)[of]
+    leaves = np.concatenate([tree.leaf for tree in trees])
+    arrays = WorldArrays(
         np.concatenate([tree.rows for tree in trees], dtype=np.float32, casting="same_kind"),
-        np.concatenate([tree.boxes for tree in trees], dtype=np.float32, casting="same_kind"),
-        np.concatenate([tree.skip + np.int32(first) for tree, first in zip(trees, nodes, strict=True)]),
-        np.concatenate(
-            [
-                np.where(tree.leaf < 0, tree.leaf, tree.leaf + np.int32(first))
-                for tree, first in zip(trees, shapes, strict=True)
-            ]
-        ),
+        np.empty((place[-1], 6), np.float32),
+        np.empty(place[-1], np.int32),
+        np.empty(place[-1], np.int32),
         margin,
     )
+    arrays.boxes[there], arrays.boxes[at] = over.boxes[own], boxes
+    arrays.skip[there], arrays.skip[at] = (
+        place[over.skip[own]],
+        np.concatenate([tree.skip for tree in trees]) + begin[of],
+    )
+    arrays.leaf[there], arrays.leaf[at] = -1, np.where(leaves < 0, leaves, leaves + first_shape[of])
+    return arrays
 
 
 @lru_cache(maxsize=256)

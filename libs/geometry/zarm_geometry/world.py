@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from zarm_contract.messages import Mesh, Primitive, SceneObject, Voxels
 from zarm_geometry import rows
-from zarm_geometry.box_tree import BoxTree, forest
+from zarm_geometry.box_tree import BoxTree, joined
 from zarm_geometry.frames import matrix
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.voxels import cells_of, edges, merged
@@ -55,7 +55,7 @@ class World:
         self.owner = np.concatenate(
             [np.repeat(np.array(places, np.intp), counts), np.array(owners, np.intp)[singles.order]]
         )
-        self.arrays = forest([*trees, singles], margin)
+        self.arrays = joined([*trees, singles], margin)
 
     def with_margin(self, margin: float) -> Self:
         """The same objects with another margin (m), at no cost."""

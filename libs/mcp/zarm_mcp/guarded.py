@@ -9,6 +9,7 @@ from typing import Any
 
 from zarm.connection import Connection
 from zarm.executor import Executor
+from zarm.gripper import Gripper
 from zarm.planner import Planner
 from zarm.scene import Scene
 from zarm_contract.errors import Busy, Cancelled, InvalidRequest
@@ -57,6 +58,7 @@ class GuardedExecutor(Executor):
     def __init__(self, connection: Connection, check: PolicyCheck, twin: Twin | None = None) -> None:
         super().__init__(connection)
         self._check, self._scene, self._twin = check, Scene(connection), twin
+        self._gripper = Gripper(connection)
         self._moving = threading.Lock()
         self._stops = 0
 
@@ -67,7 +69,7 @@ class GuardedExecutor(Executor):
         self.demand(what)
         if self._twin is not None:
             stops = self._stops
-            self._twin.rehearse(what, self._scene.read())
+            self._twin.rehearse(what, self._scene.read(), self._gripper.all())
             if self._stops != stops:
                 raise Cancelled("stopped while the twin made this motion; plan again")
         return super().execute(what, **options)

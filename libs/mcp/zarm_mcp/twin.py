@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
 
 import numpy as np
@@ -14,6 +15,7 @@ from zarm_contract.messages import (
     Attached,
     AttachObject,
     DetachObject,
+    GripperState,
     Joints,
     LoadScene,
     PhysicsState,
@@ -34,6 +36,8 @@ _STILL = 0.005
 """rad/s or m/s of a joint that rests,"""
 _RESTING = 1.0
 """and for how long (s): a change of the scene comes to the physics some tenths of a second later."""
+_OPENING = 0.0005
+"""m between the openings of two grippers that are open alike."""
 _SLIGHT = 0.5
 """N that count as no contact: what rests on something else trembles."""
 
@@ -44,11 +48,11 @@ class Twin:
     def __init__(self, connection: Connection, links: AbstractSet[str]) -> None:
         self._robot, self._links = Robot(connection), links
 
-    def rehearse(self, plan: Plan, scene: Scene) -> None:
-        """Make the motion of a plan in a scene. Raises ExecutionRefused that says what was touched, or why it failed, and Unavailable without a twin."""
+    def rehearse(self, plan: Plan, scene: Scene, grippers: Mapping[str, GripperState]) -> None:
+        """Make the motion of a plan in a scene, with `grippers` as they are now. Raises ExecutionRefused that says what was touched, or why it failed, and Unavailable without a twin."""
         start = plan.trajectory.position[0]
         try:
-            self._take_over(scene, start, _meant(plan))
+            self._take_over(scene, start, grippers, _meant(plan))
             touched = self._touched_in(plan, {one.object.name for one in scene.attached})
         except Unavailable as error:
             raise Unavailable(f"the twin: {error}") from error
@@ -57,8 +61,12 @@ class Twin:
         if touched is not None:
             raise ExecutionRefused(f"in the twin {touched}; plan another motion, or correct the scene")
 
-    def _take_over(self, scene: Scene, start: Joints, meant: AbstractSet[str]) -> None:
-        """Go to the start, in the scene, with what is attached there; the guard passes over what is `meant` to be touched."""
+    def _take_over(
+        self, scene: Scene, start: Joints, grippers: Mapping[str, GripperState], meant: AbstractSet[str]
+    ) -> None:
+        """Go to the start, in the scene, with what is attached there and grippers that are open as far; the guard passes over what is
+        `meant` to be touched.
+        """
         robot = self._robot
         self._await_rest()
         if robot.state().mode == "fault":  # from the motion before
@@ -77,6 +85,7 @@ class Twin:
         self._await_rest()  # what it pressed on may be gone
         if not np.allclose(robot.joint_state().position, start, rtol=0.0, atol=_THERE):
             robot.execute(robot.plan(start))
+        self._open_as(grippers)
         for one in scene.attached:
             if one.tool is not None:
                 continue
@@ -95,6 +104,15 @@ class Twin:
         if passed_over := tuple(there & ({*scene.ignored_objects} | meant)):
             robot.scene.set_object_collision(*passed_over, enabled=False)
         self._await_rest()
+
+    def _open_as(self, grippers: Mapping[str, GripperState]) -> None:
+        """Open the grippers as far as those of the robot are."""
+        here = self._robot.gripper.all()
+        for name, there in grippers.items():
+            width = here[name].width if name in here else None
+            if there.width is not None and width is not None and abs(there.width - width) > _OPENING:
+                low, high = there.widths
+                self._robot.gripper.move(min(max(there.width, low), high), name)
 
     def _await_rest(self) -> None:
         """Wait until the drives have settled. Raises Unavailable if they do not."""
