@@ -118,8 +118,10 @@ _UNMOUNT = m.UnmountTool(op="unmount", tool="welder")
 _DETACH = m.DetachObject(op="detach", name="table", joints=(0.1, 0.2))
 _LINKS = m.SetLinkCollision(op="links", names=("link_5",), enabled=False)
 _OBJECTS_OFF = m.SetObjectCollision(op="objects", names=("table",), enabled=False)
+_PAIRS_OFF = m.SetPairCollision(op="pairs", pairs=(("finger", "cube"),), enabled=False)
 _ADD = m.AddObjects(op="add", objects=(*_OBJECTS, _CLOUD, _PACKED), replace=True)
 _REMOVE = m.RemoveObjects(op="remove", names=("table", "ball.1"))
+_BATCH = m.EditBatch(op="batch", edits=(_REMOVE, _PAIRS_OFF))
 _REVISION = "12-5be0c1d2f3a4"
 _CLEAR = m.ClearScene(op="clear")
 _LOAD = m.LoadScene(op="load", objects=(_SPHERE,))
@@ -382,6 +384,7 @@ EXAMPLES: tuple[Message, ...] = (
         attached=(_ATTACHED,),
         ignored_links=("link_5",),
         ignored_objects=("table",),
+        ignored_pairs=(("finger", "cube"),),
     ),
     _ADD,
     _REMOVE,
@@ -395,6 +398,8 @@ EXAMPLES: tuple[Message, ...] = (
     _DETACH,
     _LINKS,
     _OBJECTS_OFF,
+    _PAIRS_OFF,
+    _BATCH,
     m.SceneEdit(edit=_ADD),
     m.SceneEdit(edit=_REMOVE),
     m.SceneEdit(edit=_CLEAR),
@@ -405,6 +410,8 @@ EXAMPLES: tuple[Message, ...] = (
     m.SceneEdit(edit=_UNMOUNT),
     m.SceneEdit(edit=_LINKS),
     m.SceneEdit(edit=_OBJECTS_OFF),
+    m.SceneEdit(edit=_PAIRS_OFF),
+    m.SceneEdit(edit=_BATCH),
     m.SceneEdited(revision=_REVISION, count=4, notes=("crate: a hole of at most 10 mm closed",)),
     # executor
     m.ExecuteRequest(plan_id="plan-1", preempt=True, goal_id="goal-1", replan=True),

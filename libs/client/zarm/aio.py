@@ -239,6 +239,7 @@ class Scene(_Twin[zarm.scene.Scene]):
     unmount = _awaited(zarm.scene.Scene.unmount)
     set_link_collision = _awaited(zarm.scene.Scene.set_link_collision)
     set_object_collision = _awaited(zarm.scene.Scene.set_object_collision)
+    set_pair_collision = _awaited(zarm.scene.Scene.set_pair_collision)
     move = _awaited(zarm.scene.Scene.move)
     load = _awaited(zarm.scene.Scene.load)
     save = _awaited(zarm.scene.Scene.save)

@@ -104,6 +104,10 @@ class Scene:
         """Turn collision checking of these objects, also of attached ones, on or off."""
         return self._edit(op="objects", names=names, enabled=enabled)
 
+    def set_pair_collision(self, *pairs: tuple[str, str], enabled: bool) -> SceneEdited:
+        """Turn collision checking of these pairs on or off: of a link or an attached object with an object, or of two of the former."""
+        return self._edit(op="pairs", pairs=pairs, enabled=enabled)
+
     def move(
         self,
         name: str,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry import rows
+from zarm_geometry.allowed_collisions import EVERY_LINK
 from zarm_geometry.kernels.arrays import WorldArrays
 from zarm_geometry.kernels.median_split import median_split
 from zarm_geometry.kernels.refit import centers, refit
@@ -78,6 +79,7 @@ def joined(trees: Sequence[BoxTree], margin: float) -> WorldArrays:
         np.empty((place[-1], 6), np.float32),
         np.empty(place[-1], np.int32),
         np.empty(place[-1], np.int32),
+        np.full(sum(len(tree.rows) for tree in trees), EVERY_LINK),
         margin,
     )
     arrays.boxes[there], arrays.boxes[at] = over.boxes[own], boxes

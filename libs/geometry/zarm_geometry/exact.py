@@ -56,6 +56,9 @@ class ExactScene:
     """
 
     def __init__(self, model: RobotModel, world: World) -> None:
+        """Raises ValueError if robot and world know different pairs that may touch."""
+        if world.allowed not in ((), model.allowed):
+            raise ValueError(f"the world allows {world.allowed} to touch, and the robot {model.allowed}")
         self.model, self.world = model, world
         self._body, self.reach = robot_parts(model)
         self._obstacles = obstacles(world)
@@ -189,7 +192,7 @@ def obstacles(world: World) -> Obstacles:
     """The world for kernels that compute with exact shapes."""
     arrays = world.arrays
     error = _SINGLE * float(np.abs(arrays.boxes).max(initial=0.0))
-    return Obstacles(world.rows, arrays.boxes, arrays.skip, arrays.leaf, error)
+    return Obstacles(world.rows, arrays.boxes, arrays.skip, arrays.leaf, arrays.checked, error)
 
 
 def subjects(model: RobotModel, body: RobotParts) -> NDArray[np.bool_]:
@@ -237,6 +240,7 @@ def robot_parts(model: RobotModel) -> tuple[RobotParts, Array]:
         pairs=model.pairs,
         reach=reach,
         paths=_table(model, paths, beyond),
+        bit=model.arrays.bit,
     )
     return body, reach[: len(model.links)].max(axis=0, initial=0.0)
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from numpy.typing import ArrayLike
 
 from zarm_contract.messages import Attached, SceneObject
+from zarm_geometry.allowed_collisions import Pairs
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import Openings, RobotModel
 from zarm_geometry.situation import (
@@ -29,7 +30,7 @@ class MotionCheck:
 
     def __init__(self, model: RobotModel, meshes: Meshes | None = None) -> None:
         self.model, self._meshes = model, meshes or Meshes()
-        self._robots: dict[tuple[tuple[Attached, ...], tuple[str, ...], Openings], MotionRobot] = {}
+        self._robots: dict[tuple[tuple[Attached, ...], tuple[str, ...], Openings, Pairs], MotionRobot] = {}
         self._shapes: dict[int, MovableShapes] = {}  # by the id of the object in it
         self.set_world(World((), 0.0))
 
@@ -51,11 +52,12 @@ class MotionCheck:
         ignored_links: Sequence[str] = (),
         moving: Sequence[MovingObject] = (),
         openings: Openings = (),
+        allowed: Pairs = (),
     ) -> Situation:
         """The robot in the present world among `moving` objects, for several checks; `attached` objects and
-        `ignored_links` are as in the scene, `openings` as in `RobotModel.with_attached`.
+        `ignored_links` are as in the scene, `openings` and `allowed` as in `RobotModel.with_attached`.
         """
-        key = (tuple(attached), tuple(ignored_links), openings)
+        key = (tuple(attached), tuple(ignored_links), openings, allowed)
         robot = self._robots.get(key)
         if robot is None:
             robot = MotionRobot.of(self.model.with_attached(*key))
@@ -72,11 +74,12 @@ class MotionCheck:
         ignored_links: Sequence[str] = (),
         moving: Sequence[MovingObject] = (),
         openings: Openings = (),
+        allowed: Pairs = (),
         acceleration: ArrayLike | None = None,
         self_collision: bool = True,
     ) -> MotionVerdict:
         """`Situation.check` in the present situation."""
-        return self.situation(attached, ignored_links, moving, openings).check(
+        return self.situation(attached, ignored_links, moving, openings, allowed).check(
             times, positions, margin=margin, acceleration=acceleration, self_collision=self_collision
         )
 
@@ -90,9 +93,11 @@ class MotionCheck:
         ignored_links: Sequence[str] = (),
         moving: Sequence[MovingObject] = (),
         openings: Openings = (),
+        allowed: Pairs = (),
     ) -> list[NearPair]:
         """`Situation.nearby` in the present situation."""
-        return self.situation(attached, ignored_links, moving, openings).nearby(position, within=within, time=time)
+        situation = self.situation(attached, ignored_links, moving, openings, allowed)
+        return situation.nearby(position, within=within, time=time)
 
     def _shaped(self, moving: Sequence[MovingObject]) -> list[tuple[MovableShapes, MovingObject]]:
         """Moving objects with their shapes, which are remembered: the next check is often of the same ones."""

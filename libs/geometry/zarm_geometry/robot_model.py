@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Attached, tools_of
 from zarm_contract.robot import RobotDescription
+from zarm_geometry.allowed_collisions import Pairs, link_bits, partners
 from zarm_geometry.body import Body, along, attached_body, bounding_ball, link_body
 from zarm_geometry.dynamics import Dynamics, Weight, weights_of, weights_of_load, weights_of_payloads
 from zarm_geometry.inertia import stances, stated_limits
@@ -56,7 +57,7 @@ class RobotModel:
     joint that carries each, -1 for the base. `pairs` (n, 2) are the indices of those that can collide with each other:
     all except pairs that may touch, or belong to the same rigid body. `parts` are the exact shapes, each with the index
     of the link in whose frame it is. `tip_joint` is the joint that carries the tip. The model of a group belongs to that
-    of the `whole` robot, and one with attached objects, its `loads`, to that `without` them.
+    of the `whole` robot, and one with attached objects, its `loads`, to that `without` them. `allowed` are the pairs of links and objects that may touch.
     """
 
     robot: RobotDescription
@@ -79,6 +80,7 @@ class RobotModel:
     whole: Whole | None
     without: RobotModel | None
     loads: tuple[Attached, ...] = ()
+    allowed: Pairs = ()
 
     @classmethod
     def of(cls, robot: RobotDescription) -> Self:
@@ -102,25 +104,34 @@ class RobotModel:
             for body in self.bodies
             if body.name not in without
         ]
-        return self._packed(robot, tree, tip, bodies, Whole(self, tuple(places), np.array(moving), q))
+        whole = Whole(self, tuple(places), np.array(moving), q)
+        return self._packed(robot, tree, tip, bodies, whole, allowed=self.allowed)
 
     def with_attached(
-        self, attached: Sequence[Attached], ignored_links: Sequence[str], openings: Openings = ()
+        self,
+        attached: Sequence[Attached],
+        ignored_links: Sequence[str],
+        openings: Openings = (),
+        allowed: Pairs = (),
     ) -> Self:
-        """This robot with one more body for each attached object, without the ignored links, and with grippers at these
-        `openings`; those left out are open.
+        """This robot with one more body for each attached object, without the ignored links, with grippers at these
+        `openings`, and with pairs of links and objects that are `allowed` to touch; grippers left out are open.
 
         The object is named as in the scene; it may touch its `touch_links`. A tool among them has the tip.
         """
         grippers = self.robot.descriptor.grippers
         openings = tuple((name, width) for name, width in openings if width != grippers[name].open)
-        if not attached and not ignored_links and not openings:
+        if not attached and not ignored_links and not openings and not allowed:
             return self
         bodies = [body for body in self._at(openings) if body.name not in ignored_links]
         bodies += [attached_body(item, *self.mount(self.carrier(item))) for item in attached]
+        bodies = [
+            replace(body, touches=body.touches | more) if (more := partners(body.name, allowed)) else body
+            for body in bodies
+        ]
         robot = self.robot.with_tools(tools_of(attached))
         tip = (self.tip_joint, self.offset[-1]) if robot is self.robot else self.mount(robot.descriptor.tip_link)
-        return self._packed(robot, self.tree, tip, bodies, without=self, loads=tuple(attached))
+        return self._packed(robot, self.tree, tip, bodies, without=self, loads=tuple(attached), allowed=allowed)
 
     def with_tools(self, attached: Sequence[Attached]) -> Self:
         """This robot with only the mounted tools of what is attached."""
@@ -203,6 +214,7 @@ class RobotModel:
         whole: Whole | None = None,
         without: RobotModel | None = None,
         loads: tuple[Attached, ...] = (),
+        allowed: Pairs = (),
     ) -> Self:
         """The model of a robot with these bodies."""
         descriptor = robot.descriptor
@@ -247,11 +259,13 @@ class RobotModel:
                 common=tree.common(link_joint, np.array(searched, np.int32).reshape(-1, 2)),
                 apart=np.zeros(len(searched), np.float32),
                 reach=reach,
+                bit=link_bits([body.name for body in bodies], allowed),
             ),
             tip_joint=tip[0],
             whole=whole,
             without=without,
             loads=loads,
+            allowed=allowed,
         )
 
     def with_self_margin(self, margin: float) -> Self:

@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import SceneObject, Vector3
 from zarm_geometry import rows
+from zarm_geometry.allowed_collisions import Bits, Pairs, checked
 from zarm_geometry.exact import kept_margin, obstacles, robot_parts, subjects
 from zarm_geometry.kernels.clearance_search import Obstacles
-from zarm_geometry.kernels.motion import Flags, MotionBody, Movers, Solids, motion_body, solids
+from zarm_geometry.kernels.motion import MotionBody, Movers, Solids, motion_body, solids
 from zarm_geometry.kernels.situation import GRADIENT_THERE, KEPT_MARGIN, Owner, SituationArrays, contact, nearby
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
@@ -126,8 +127,9 @@ class MotionWorld:
         self._world, self._around, self._standing = world, around, standing
         self._gone, self._changed = gone, tuple(changed)
         indices = [index for index, name in enumerate(world.names) if name in gone]
-        self._alive: Flags = np.where(np.isin(world.owner, indices), np.uint8(0), np.uint8(1))
-        self._still = self._with(())
+        self._there = ~np.isin(world.owner, indices)
+        self._checked = self._checked_with(())
+        self._still = self._with((), ())
 
     @classmethod
     def of(cls, world: World) -> Self:
@@ -146,11 +148,20 @@ class MotionWorld:
 
     def situation(self, robot: MotionRobot, moving: Sequence[tuple[MovableShapes, MovingObject]] = ()) -> Situation:
         """The situation of a robot in this world among moving objects."""
-        names, movers, owner = self._with(moving) if moving else self._still
-        world = self._world.owner, self._around, self._standing, self._alive
+        allowed = robot.model.allowed
+        names, movers, owner = self._with(moving, allowed) if moving or allowed else self._still
+        kept = self._checked_with(allowed) if allowed else self._checked
+        world = self._world.owner, self._around, self._standing, kept
         return Situation(robot, SituationArrays(robot.body, *world, movers, owner), self, names)
 
-    def _with(self, moving: Sequence[tuple[MovableShapes, MovingObject]]) -> tuple[list[str], Movers, Owner]:
+    def _checked_with(self, allowed: Pairs) -> Bits:
+        """The bits of the links against which each row of the world is checked, with pairs that may touch; 0 for one that is gone."""
+        masks = checked(self._world.names, allowed)[self._world.owner]
+        return np.where(self._there, masks, np.uint64(0))
+
+    def _with(
+        self, moving: Sequence[tuple[MovableShapes, MovingObject]], allowed: Pairs
+    ) -> tuple[list[str], Movers, Owner]:
         """What is not in the world's tree: the object of each of its rows by name, the rows, and a number for that
         object.
         """
@@ -161,12 +172,12 @@ class MotionWorld:
         number: dict[str, int] = {}
         numbers = [number.setdefault(each.item.name, len(number)) for each in shapes]
         names = [each.item.name for each, count in zip(shapes, counts, strict=True) for _ in range(count)]
-        movers = _movers(shapes, np.repeat(np.array(states).reshape(-1, 9), counts, axis=0))
+        movers = _movers(shapes, np.repeat(np.array(states).reshape(-1, 9), counts, axis=0), checked(names, allowed))
         return names, movers, np.repeat(np.array(numbers, np.intp), counts)
 
 
-def _movers(shapes: Sequence[MovableShapes], state: Array) -> Movers:
-    """Movers (n) with this `state` (n, 9): velocity, speed, time, offset and growth of a `MovingObject`."""
+def _movers(shapes: Sequence[MovableShapes], state: Array, against: Bits) -> Movers:
+    """Movers (n) with this `state` (n, 9), velocity, speed, time, offset and growth of a `MovingObject`, checked `against` these links."""
     pose = np.concatenate([_NONE.solids.pose, *(each.solids.pose for each in shapes)])
     extents = np.concatenate([_NONE.solids.extents, *(each.solids.extents for each in shapes)])
     lower = np.concatenate([_NONE.lower, *(each.lower for each in shapes)])
@@ -176,7 +187,9 @@ def _movers(shapes: Sequence[MovableShapes], state: Array) -> Movers:
     extents[:, 4] += growth  # the rounding
     lower += offset - growth[:, None]
     upper += offset + growth[:, None]
-    return Movers(Solids(pose, extents), state[:, :3].copy(), state[:, 3].copy(), state[:, 4].copy(), lower, upper)
+    return Movers(
+        Solids(pose, extents), state[:, :3].copy(), state[:, 3].copy(), state[:, 4].copy(), lower, upper, against
+    )
 
 
 class Situation:
@@ -246,8 +259,12 @@ class Situation:
         link = model.links[model.parts[part][0]]
         if other < 0:
             return link, model.links[model.parts[-1 - other][0]]
-        rows = len(self.arrays.alive)
+        rows = len(self.arrays.checked)
         return link, self._world.name(other) if other < rows else self._movers[other - rows]
 
 
-_NONE = Movers(solids(np.zeros((0, rows.WIDTH))), *(np.zeros(shape) for shape in ((0, 3), 0, 0, (0, 3), (0, 3))))
+_NONE = Movers(
+    solids(np.zeros((0, rows.WIDTH))),
+    *(np.zeros(shape) for shape in ((0, 3), 0, 0, (0, 3), (0, 3))),
+    checked=np.zeros(0, np.uint64),
+)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from zarm_contract.messages import Mesh, Primitive, SceneObject, Voxels
 from zarm_geometry import rows
+from zarm_geometry.allowed_collisions import Pairs, checked
 from zarm_geometry.box_tree import BoxTree, joined
 from zarm_geometry.frames import matrix
 from zarm_geometry.meshes import Meshes
@@ -51,11 +52,20 @@ class World:
         places, counts = [place[name] for name in self._made], [len(tree.rows) for tree in trees]
         self.names = tuple(item.name for item in objects)
         self.margin = margin
+        self.allowed: Pairs = ()
         self.rows = np.concatenate([*(tree.rows for tree in trees), singles.rows])
         self.owner = np.concatenate(
             [np.repeat(np.array(places, np.intp), counts), np.array(owners, np.intp)[singles.order]]
         )
         self.arrays = joined([*trees, singles], margin)
+
+    def with_allowed(self, pairs: Pairs) -> Self:
+        """The same objects, which links may touch by these pairs: for a robot that knows the same ones."""
+        if pairs == self.allowed:
+            return self
+        other = copy(self)
+        other.allowed, other.arrays = pairs, self.arrays._replace(checked=checked(self.names, pairs)[self.owner])
+        return other
 
     def with_margin(self, margin: float) -> Self:
         """The same objects with another margin (m), at no cost."""

@@ -56,6 +56,9 @@ def show(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Nam
         out.print(f"objects whose collisions are ignored: {', '.join(scene.ignored_objects)}")
     if scene.ignored_links:
         out.print(f"links whose collisions are ignored: {', '.join(scene.ignored_links)}")
+    if scene.ignored_pairs:
+        pairs = ", ".join(f"{one} with {other}" for one, other in scene.ignored_pairs)
+        out.print(f"pairs whose collisions are ignored: {pairs}")
     out.print(f"revision {scene.revision}")
 
 

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import Point, Pose
 from moveit_msgs.msg import (
+    AllowedCollisionEntry,
+    AllowedCollisionMatrix,
     AttachedCollisionObject,
     CollisionObject,
     LinkPadding,
@@ -188,6 +190,46 @@ def test_what_is_refused_changes_nothing(arm: Stack, robot: Robot) -> None:
     assert not applied(arm, objects=[lost])
     assert not applied(arm, objects=[item("gone", at(0.0, 0.0, 0.0), operation=CollisionObject.REMOVE)])
     assert not robot.scene.objects()
+
+
+POST = item("post", at(0.9, 0.0, 0.2), (shape(SolidPrimitive.BOX, 0.1, 0.1, 0.4), at(0.0, 0.0, 0.0)))
+
+
+def allowing(*pairs: tuple[str, str]) -> AllowedCollisionMatrix:
+    """The matrix of a client, of the names in it alone."""
+    names = sorted({name for pair in pairs for name in pair} | {"link_6"})
+    rows = [[(a, b) in pairs or (b, a) in pairs for b in names] for a in names]
+    return AllowedCollisionMatrix(entry_names=names, entry_values=[AllowedCollisionEntry(enabled=row) for row in rows])
+
+
+def test_a_pair_of_the_collision_matrix_is_the_scenes_both_ways(arm: Stack, robot: Robot) -> None:
+    assert applied(
+        arm, objects=[POST, SHELF], allowed_collision_matrix=allowing(("link_6", "post"), ("link_5", "shelf"))
+    )
+    assert robot.scene.read().ignored_pairs == (("link_5", "shelf..0"), ("link_5", "shelf..1"), ("link_6", "post"))
+    found = fetched(arm).allowed_collision_matrix
+    row = dict(zip(found.entry_names, found.entry_values[found.entry_names.index("post")].enabled, strict=True))
+    assert [name for name, allowed in row.items() if allowed] == ["link_6"]
+    assert applied(arm, allowed_collision_matrix=found)
+    assert len(robot.scene.read().ignored_pairs) == 3
+    robot.scene.set_pair_collision(("link_6", "post"), enabled=True)
+    found = fetched(arm).allowed_collision_matrix
+    assert "post" not in found.entry_names
+    assert applied(arm, allowed_collision_matrix=allowing(("link_6", "post")))
+    assert robot.scene.read().ignored_pairs == (("link_6", "post"),)
+    assert not applied(arm, allowed_collision_matrix=allowing(("link_6", "nobody")))
+    robot.scene.clear()
+    assert robot.scene.read().ignored_pairs == ()
+
+
+def test_a_message_with_a_fault_changes_nothing_at_all(arm: Stack, robot: Robot) -> None:
+    before = robot.scene.read(), robot.settings().margin
+    padding = [LinkPadding(link_name=link, padding=0.02) for link in ROBOT.descriptor.collision]
+    assert not applied(arm, objects=[POST, item("", at(0.9, 0.5, 0.2))], link_padding=padding)
+    assert not applied(arm, objects=[POST, item("gone", at(0.9, 0.5, 0.2), operation=CollisionObject.REMOVE)])
+    far = item("far", at(1e6, 0.0, 0.0), (shape(SolidPrimitive.BOX, 0.1, 0.1, 0.4), at(0.0, 0.0, 0.0)))
+    assert not applied(arm, objects=[POST, far], link_padding=padding)
+    assert (robot.scene.read(), robot.settings().margin) == before
 
 
 def test_the_scene_is_saved_and_loaded(arm: Stack, robot: Robot, tmp_path: Path) -> None:

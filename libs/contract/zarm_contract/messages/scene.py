@@ -19,6 +19,8 @@ MAX_OBJECTS = 10_000
 MAX_ATTACHED = 16
 MAX_TOOL_SHAPES = 8
 MAX_ATTACHED_PARTS = 32
+MAX_PAIRED = 63
+"""Names in the ignored pairs of a scene."""
 MAX_CELLS = 200_000
 MAX_POINTS = 200_000
 MAX_INDEX = 500_000
@@ -194,7 +196,7 @@ with every edit. Equal revisions mean the same scene; which of two is newer, or 
 class Scene(Message):
     """All objects in the base frame, and the objects attached to the robot, mounted tools among them. A `revision` never repeats.
 
-    Collisions of `ignored_links` and of `ignored_objects` are not checked.
+    Collisions of `ignored_links`, of `ignored_objects`, and of `ignored_pairs` with each other are not checked.
     """
 
     revision: SceneRevision
@@ -202,6 +204,7 @@ class Scene(Message):
     attached: tuple[Attached, ...] = Field(default=(), max_length=MAX_ATTACHED)
     ignored_links: tuple[str, ...] = ()
     ignored_objects: tuple[Name, ...] = ()
+    ignored_pairs: tuple[tuple[str, str], ...] = ()
 
     @property
     def obstacles(self) -> tuple[SceneObject, ...]:
@@ -314,22 +317,48 @@ class SetObjectCollision(Message):
     enabled: bool
 
 
+class SetPairCollision(Message):
+    """Check the collisions of these pairs, or ignore them: of a link or an attached object with an object, or of two of the former.
+
+    A pair is checked again once an object of it is removed. At most 63 different names (MAX_PAIRED) can be in ignored pairs.
+    """
+
+    op: Literal["pairs"]
+    pairs: tuple[tuple[str, str], ...] = Field(min_length=1, max_length=1000)
+    enabled: bool
+
+
+SingleEdit = (
+    AddObjects
+    | RemoveObjects
+    | ClearScene
+    | LoadScene
+    | AttachObject
+    | DetachObject
+    | MountTool
+    | UnmountTool
+    | SetLinkCollision
+    | SetObjectCollision
+    | SetPairCollision
+)
+
+
+class EditBatch(Message):
+    """Several edits, one after the other, applied all or not at all."""
+
+    op: Literal["batch"]
+    edits: tuple[Annotated[SingleEdit, Field(discriminator="op")], ...] = Field(min_length=1, max_length=1000)
+
+
 class SceneEdit(Message):
     """One edit of the scene, applied as a whole or not at all."""
 
-    edit: Annotated[
-        AddObjects
-        | RemoveObjects
-        | ClearScene
-        | LoadScene
-        | AttachObject
-        | DetachObject
-        | MountTool
-        | UnmountTool
-        | SetLinkCollision
-        | SetObjectCollision,
-        Field(discriminator="op"),
-    ]
+    edit: Annotated[SingleEdit | EditBatch, Field(discriminator="op")]
+
+    @property
+    def edits(self) -> tuple[SingleEdit, ...]:
+        """The edits one by one."""
+        return self.edit.edits if isinstance(self.edit, EditBatch) else (self.edit,)
 
 
 class SceneEdited(ShortMessage):

@@ -12,6 +12,7 @@ from zarm_geometry.kernels.simd import LANES, pointer
 
 Single = NDArray[np.float32]
 Index = NDArray[np.int32]
+Bits = NDArray[np.uint64]
 Pointer = Any
 """Pointer to the first element of an array; exists only inside kernels."""
 
@@ -31,7 +32,7 @@ class RobotArrays(NamedTuple):
     nearer to the base first; `common` (m,): the last joint that moves both, -1 for the base; `apart` (m,): the distance
     (m) that their spheres must keep. `reach` (dof, balls): the
     most (m) that a ball's centre moves when the joint moves by 1 rad (1 m if prismatic). The balls are the bounding
-    spheres of the links, then the spheres, then zeros up to a multiple of 16.
+    spheres of the links, then the spheres, then zeros up to a multiple of 16. `bit` (links,): see `allowed_collisions`.
     """
 
     tree: Index
@@ -44,6 +45,7 @@ class RobotArrays(NamedTuple):
     common: Index
     apart: Single
     reach: Single
+    bit: Bits
 
 
 class WorldArrays(NamedTuple):
@@ -56,12 +58,14 @@ class WorldArrays(NamedTuple):
     radius is negative, the core is the triangle (0, 0), (b, 0), (c, d) in the plane z = 0, and b, c, d replace the half
     extents. `boxes` (m, 6): centre and half extents of the nodes, depth first; `skip` (m,): the node that follows the
     subtree; `leaf` (m,): the obstacle in a leaf, -1 for an inner node. The tree is at most DEEPEST levels deep.
+    `checked` (n,): the bits of the links against which an obstacle is checked, see `allowed_collisions`.
     """
 
     shapes: Single
     boxes: Single
     skip: Index
     leaf: Index
+    checked: Bits
     margin: float
 
 
@@ -94,10 +98,12 @@ class Space(NamedTuple):
     common: Pointer
     apart: Pointer
     reach: Pointer
+    bit: Pointer
     shapes: Pointer
     boxes: Pointer
     skip: Pointer
     leaf: Pointer
+    checked: Pointer
     margin: np.float32
     step: Pointer
     motion: Pointer
@@ -166,10 +172,12 @@ def space(robot: RobotArrays, world: WorldArrays, memory: Memory) -> Space:
         pointer(robot.common),
         pointer(robot.apart),
         pointer(robot.reach),
+        pointer(robot.bit),
         pointer(world.shapes),
         pointer(world.boxes),
         pointer(world.skip),
         pointer(world.leaf),
+        pointer(world.checked),
         np.float32(world.margin),
         pointer(memory.step),
         pointer(memory.motion),

@@ -110,6 +110,8 @@ class _View(NamedTuple):
     boxes: Pointer
     skip: Pointer
     leaf: Pointer
+    checked: Pointer
+    bit: Pointer
     angle: Pointer
     way: Pointer
     frames: Pointer
@@ -196,12 +198,15 @@ def _to_world(view: _View, link: int, travel: Lanes, clearance: Lanes) -> Lanes:
             if reached == 0:
                 node = view.skip[node]
                 continue
-            shape = SHAPE * view.leaf[node]
+            row = view.leaf[node]
             node += 1
-            if shape < 0:
+            if row < 0:
                 level += 1
                 view.active[level], view.until[level] = reached, view.skip[node - 1]
                 continue
+            if view.checked[row] & view.bit[link] == 0:
+                continue
+            shape = SHAPE * row
             while reached != 0:
                 ball = first + lowest_bit(reached)
                 reached &= reached - np.uint64(1)
@@ -282,6 +287,8 @@ def push_near(
         pointer(world.boxes),
         pointer(world.skip),
         pointer(world.leaf),
+        pointer(world.checked),
+        pointer(body.bit),
         pointer(batch.angle),
         pointer(batch.way),
         pointer(batch.frames),

@@ -281,10 +281,11 @@ def _to_world(
     if closest < 0:
         return lowest, found, best
     _place_parts(body, search, slot, link)
-    for i in range(body.first[link], body.first[link + 1]):
-        lower, upper = _to_row(body, world, search, link, slot, i, closest, max(best, nearest, 0.0))
-        nearest = min(nearest, lower)
-        found, best = _note(found, lower, upper, i, closest, k, best)
+    if world.checked[closest] & body.bit[link] != 0:
+        for i in range(body.first[link], body.first[link + 1]):
+            lower, upper = _to_row(body, world, search, link, slot, i, closest, max(best, nearest, 0.0))
+            nearest = min(nearest, lower)
+            found, best = _note(found, lower, upper, i, closest, k, best)
     lowest = nearest
     nodes = world.boxes.shape[0]
     for first in range(body.first[link], body.first[link + 1], _PARTS):
@@ -323,7 +324,9 @@ def _to_world(
                 level += 1
                 search.active[level], search.until[level] = near, world.skip[node - 1]
                 continue
-            while near != 0 and row != closest:
+            if row == closest or world.checked[row] & body.bit[link] == 0:
+                continue
+            while near != 0:
                 i = first + lowest_bit(near)
                 near &= near - np.uint64(1)
                 lower, upper = _to_row(body, world, search, link, slot, i, row, max(best, nearest, 0.0))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import DEEPEST
+from zarm_geometry.kernels.arrays import DEEPEST, Bits
 from zarm_geometry.kernels.compiled import brief, inlined
 from zarm_geometry.kernels.kinematics import joint_frames
 
@@ -32,6 +32,7 @@ class RobotParts(NamedTuple):
     the first. `paths` (subjects, FIRST + dof): from FIRST on the joints that move a subject, from that of its link
     inwards, for a pair on to that of the first link, then -1; before, their COUNT, and of the joints that move only the
     link, or the second link (OWN), and only the first one (OTHERS), the one nearest to the base, -1 if there is none.
+    `bit` (links,) as in `RobotArrays`.
     """
 
     tree: Index
@@ -45,18 +46,20 @@ class RobotParts(NamedTuple):
     pairs: Index
     reach: Array
     paths: Index
+    bit: Bits
 
 
 class Obstacles(NamedTuple):
     """A world: `rows` (n, 17) as `WorldArrays.shapes`, without margin, and the tree of `WorldArrays` over them.
 
-    The boxes are in single precision and may be too small by `slack` (m).
+    The boxes are in single precision and may be too small by `slack` (m). `checked` (n,) as in `WorldArrays`.
     """
 
     rows: Array
     boxes: NDArray[np.float32]
     skip: Index
     leaf: Index
+    checked: Bits
     slack: float
 
 

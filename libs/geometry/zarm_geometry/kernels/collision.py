@@ -152,8 +152,8 @@ def meets_world(space: Space, link: int, half: Lanes) -> tuple[Mask, Mask]:
                 node = space.skip[node]
                 continue
             _place_balls(space, link)
-            shape = SHAPE * space.leaf[node]
-            if shape < 0:
+            row = space.leaf[node]
+            if row < 0:
                 active = _reached(space, first, active, node, half)
                 if active == 0:
                     node = space.skip[node]
@@ -164,6 +164,9 @@ def meets_world(space: Space, link: int, half: Lanes) -> tuple[Mask, Mask]:
                 space.until[level] = space.skip[node - 1]
                 continue
             node += 1
+            if space.checked[row] & space.bit[link] == 0:
+                continue
+            shape = SHAPE * row
             rounding = space.shapes[shape + 16] + space.margin
             found = near
             while active != 0:

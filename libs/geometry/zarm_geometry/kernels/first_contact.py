@@ -13,14 +13,13 @@ import math
 
 import numpy as np
 
-from zarm_geometry.kernels.arrays import Pointer
+from zarm_geometry.kernels.arrays import Bits, Pointer
 from zarm_geometry.kernels.clearance_search import COUNT, FIRST, Obstacles
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.convex import Extents, Vector, core_gap, core_point, core_reach, turned, turned_back
 from zarm_geometry.kernels.motion import (
     EXTENTS,
     POSE,
-    Flags,
     Motion,
     MotionBody,
     Movers,
@@ -169,9 +168,9 @@ def _box(view: View, solid: int, a: int, m: int, b: int, wide: float) -> Box:
 
 
 @inlined
-def _obstacle_in(view: View, node: int, box: Box) -> int:
-    """The first leaf of the tree, from `node` on, whose obstacle is alive and whose box overlaps `box`; the number of
-    nodes if there is none.
+def _obstacle_in(view: View, link: int, node: int, box: Box) -> int:
+    """The first leaf of the tree, from `node` on, whose obstacle is checked against a link and whose box overlaps `box`;
+    the number of nodes if there is none.
     """
     boxes = view.boxes
     while node < view.nodes:
@@ -184,7 +183,7 @@ def _obstacle_in(view: View, node: int, box: Box) -> int:
             node = view.skip[node]
             continue
         row = view.leaf[node]
-        if row >= 0 and view.alive[row] != 0:
+        if row >= 0 and view.checked[row] & view.bit[link] != 0:
             return node
         node += 1
     return node
@@ -207,12 +206,14 @@ def _growth(view: View, mover: int, a: int, b: int) -> float:
 
 
 @inlined
-def _mover_in(view: View, mover: int, a: int, b: int, box: Box) -> int:
-    """The first mover, from `mover` on, that may enter the box between two samples; the number of movers if none does."""
+def _mover_in(view: View, link: int, mover: int, a: int, b: int, box: Box) -> int:
+    """The first mover, from `mover` on, that is checked against a link and may enter the box between two samples; the number of
+    movers if none does.
+    """
     while mover < view.movers:
         early, late, growth = _displacement(view, mover, a), _displacement(view, mover, b), _growth(view, mover, a, b)
         at = 3 * mover
-        if not (
+        if view.mover_checked[mover] & view.bit[link] != 0 and not (
             view.lower[at] + min(early[0], late[0]) - growth > box[3]
             or view.upper[at] + max(early[0], late[0]) + growth < box[0]
             or view.lower[at + 1] + min(early[1], late[1]) - growth > box[4]
@@ -235,7 +236,7 @@ def _against_world(view: View, link: int, a: int, m: int, b: int, sag: float, ma
     ball = view.parts + link
     radius = view.extents[EXTENTS * ball + 4]
     box = _box(view, ball, a, m, b, sag + margin)
-    first, first_mover = _obstacle_in(view, 0, box), _mover_in(view, 0, a, b, box)
+    first, first_mover = _obstacle_in(view, link, 0, box), _mover_in(view, link, 0, a, b, box)
     if first == view.nodes and first_mover == view.movers:
         return KEPT, 0, 0
     whole = b == a + 1
@@ -251,14 +252,14 @@ def _against_world(view: View, link: int, a: int, m: int, b: int, sag: float, ma
         away = sag + view.extents[EXTENTS * i + 4]
         box = _box(view, i, a, m, b, sag + margin)
         fa, fm, fb = size * a + POSE * i, size * m + POSE * i, size * b + POSE * i
-        node, mover = _obstacle_in(view, first, box), _mover_in(view, first_mover, a, b, box)
+        node, mover = _obstacle_in(view, link, first, box), _mover_in(view, link, first_mover, a, b, box)
         while node < view.nodes or mover < view.movers:
             early = middle = late = (0.0, 0.0, 0.0)
             growth = 0.0
             if node < view.nodes:
                 which = name = view.leaf[node]
                 others, extents = view.row_pose, view.row_extents
-                node = _obstacle_in(view, node + 1, box)
+                node = _obstacle_in(view, link, node + 1, box)
             else:
                 which, name = mover, view.rows + mover
                 others, extents = view.mover_pose, view.mover_extents
@@ -268,7 +269,7 @@ def _against_world(view: View, link: int, a: int, m: int, b: int, sag: float, ma
                     _displacement(view, mover, b),
                 )
                 growth = _growth(view, mover, a, b)
-                mover = _mover_in(view, mover + 1, a, b, box)
+                mover = _mover_in(view, link, mover + 1, a, b, box)
             crowd += 1
             if long and crowd > CROWD:
                 return CUT, 0, 0
@@ -321,7 +322,7 @@ def first_contact(
     body: MotionBody,
     world: Obstacles,
     standing: Solids,
-    alive: Flags,
+    checked: Bits,
     movers: Movers,
     motion: Motion,
     margin: float,
@@ -330,9 +331,9 @@ def first_contact(
     smaller; the number of samples - 1 if all of the motion is proven.
 
     Also returns the part and what it comes too close to: a row of the world, then the movers, or -1 minus another part.
-    `standing` are the world's shapes; only those that are `alive` (n,) count.
+    `standing` are the world's shapes, and `checked` (n,) the bits of the links against which each is checked, 0 for none.
     """
-    view = view_of(body, world, standing, alive, movers, motion)
+    view = view_of(body, world, standing, checked, movers, motion)
     until, part, near = motion.q.shape[0] - 1, 0, 0
     stack = np.empty((64, 3), np.int64)
     for subject in range(body.asked.shape[0]):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Index, Pointer
+from zarm_geometry.kernels.arrays import Bits, Index, Pointer
 from zarm_geometry.kernels.clearance_search import FIRST, Obstacles, RobotParts
 from zarm_geometry.kernels.compiled import brief, inlined
 from zarm_geometry.kernels.convex import Extents, Turn, turned
@@ -51,13 +51,14 @@ class MotionBody(NamedTuple):
     paths: Index
     asked: NDArray[np.bool_]
     kept_margin: Array
+    bit: Bits
 
 
 class Movers(NamedTuple):
     """Obstacles that may move: at time t (s) each is displaced by `velocity` (n, 3) in m/s times t - `since` (n,).
 
     In addition, each of its points may be up to `speed` (n,) in m/s times the elapsed time away from there. At `since`
-    they are between the corners `lower` and `upper` (n, 3).
+    they are between the corners `lower` and `upper` (n, 3). `checked` (n,) as in `WorldArrays`.
     """
 
     solids: Solids
@@ -66,6 +67,7 @@ class Movers(NamedTuple):
     since: Array
     lower: Array
     upper: Array
+    checked: Bits
 
 
 class Motion(NamedTuple):
@@ -118,6 +120,7 @@ def motion_body(parts: RobotParts, asked: NDArray[np.bool_], kept_margin: Array)
         paths=parts.paths,
         asked=asked,
         kept_margin=kept_margin,
+        bit=parts.bit,
     )
 
 
@@ -163,9 +166,10 @@ class View(NamedTuple):
     first: Pointer
     reach: Pointer
     paths: Pointer
+    bit: Pointer
     row_pose: Pointer
     row_extents: Pointer
-    alive: Pointer
+    checked: Pointer
     boxes: Pointer
     skip: Pointer
     leaf: Pointer
@@ -176,6 +180,7 @@ class View(NamedTuple):
     since: Pointer
     lower: Pointer
     upper: Pointer
+    mover_checked: Pointer
     time: Pointer
     q: Pointer
     bend: Pointer
@@ -187,7 +192,9 @@ class View(NamedTuple):
 
 
 @inlined
-def view_of(body: MotionBody, world: Obstacles, standing: Solids, alive: Flags, movers: Movers, motion: Motion) -> View:
+def view_of(
+    body: MotionBody, world: Obstacles, standing: Solids, checked: Bits, movers: Movers, motion: Motion
+) -> View:
     """The view of a kernel's arguments; it must not outlive them."""
     links = body.first.shape[0] - 1
     return View(
@@ -205,9 +212,10 @@ def view_of(body: MotionBody, world: Obstacles, standing: Solids, alive: Flags, 
         pointer(body.first),
         pointer(body.reach),
         pointer(body.paths),
+        pointer(body.bit),
         pointer(standing.pose),
         pointer(standing.extents),
-        pointer(alive),
+        pointer(checked),
         pointer(world.boxes),
         pointer(world.skip),
         pointer(world.leaf),
@@ -218,6 +226,7 @@ def view_of(body: MotionBody, world: Obstacles, standing: Solids, alive: Flags, 
         pointer(movers.since),
         pointer(movers.lower),
         pointer(movers.upper),
+        pointer(movers.checked),
         pointer(motion.time),
         pointer(motion.q),
         pointer(motion.bend),

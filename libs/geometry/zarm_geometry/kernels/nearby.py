@@ -7,14 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Pointer
+from zarm_geometry.kernels.arrays import Bits, Pointer
 from zarm_geometry.kernels.clearance_search import COUNT, FIRST, OWN, Obstacles
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.convex import Extents, Turn, Vector, core_gap, separation, turned, turned_back
 from zarm_geometry.kernels.motion import (
     EXTENTS,
     POSE,
-    Flags,
     Motion,
     MotionBody,
     Movers,
@@ -156,7 +155,7 @@ def near(
     body: MotionBody,
     world: Obstacles,
     standing: Solids,
-    alive: Flags,
+    checked: Bits,
     movers: Movers,
     motion: Motion,
     within: float,
@@ -170,7 +169,7 @@ def near(
     more, the largest are left out. Movers are displaced to the time of that sample and enlarged by how far they may
     have strayed.
     """
-    view = view_of(body, world, standing, alive, movers, motion)
+    view = view_of(body, world, standing, checked, movers, motion)
     place(view, body, motion, 0)
     f, e, count = view.frames, view.extents, 0
     still = (0.0, 0.0, 0.0)
@@ -194,12 +193,14 @@ def near(
                     continue
                 row = view.leaf[node]
                 node += 1
-                if row < 0 or view.alive[row] == 0:
+                if row < 0 or view.checked[row] & view.bit[link] == 0:
                     continue
                 others, extents, which, name = view.row_pose, view.row_extents, row, row
             else:
                 others, extents, which, name = view.mover_pose, view.mover_extents, mover, view.rows + mover
                 mover += 1
+                if view.mover_checked[which] & view.bit[link] == 0:
+                    continue
                 passed = motion.time[0] - view.since[which]
                 growth = view.speed[which] * abs(passed)
                 v = 3 * which

@@ -7,10 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_geometry.kernels.arrays import Bits
 from zarm_geometry.kernels.clearance_search import Obstacles
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.first_contact import first_contact
-from zarm_geometry.kernels.motion import Flags, MotionBody, Movers, Solids, motion
+from zarm_geometry.kernels.motion import MotionBody, Movers, Solids, motion
 from zarm_geometry.kernels.nearby import GRADIENT, near
 
 Array = NDArray[np.float64]
@@ -25,7 +26,7 @@ MOST_PAIRS = 64
 
 
 class SituationArrays(NamedTuple):
-    """A robot among obstacles: the shapes `standing` of the world that are `alive` (n,), and the movers.
+    """A robot among obstacles: the shapes `standing` of the world, which are `checked` (n,) against the links of these bits, and the movers.
 
     `owner` (n,) and `mover_owner` (movers,) number the objects to which they belong.
     """
@@ -34,7 +35,7 @@ class SituationArrays(NamedTuple):
     owner: Owner
     world: Obstacles
     standing: Solids
-    alive: Flags
+    checked: Bits
     movers: Movers
     mover_owner: Owner
 
@@ -46,7 +47,7 @@ def contact(
     """`first_contact` on the motion `q` (N, dof) at `time` (N,), N > 1, see `motion.motion`."""
     body = situation.body
     moved = motion(body, time, q, acceleration)
-    return first_contact(body, situation.world, situation.standing, situation.alive, situation.movers, moved, margin)
+    return first_contact(body, situation.world, situation.standing, situation.checked, situation.movers, moved, margin)
 
 
 @kernel
@@ -62,7 +63,9 @@ def nearby(situation: SituationArrays, q: Array, time: float, within: float) -> 
     at[0], at[1], twice[0], twice[1] = time, time + 1.0, q, q
     standing = motion(body, at, twice, np.zeros(dof))
     found = np.empty((MOST_PAIRS, GRADIENT + dof))
-    count = near(body, situation.world, situation.standing, situation.alive, situation.movers, standing, within, found)
+    count = near(
+        body, situation.world, situation.standing, situation.checked, situation.movers, standing, within, found
+    )
     rows, kept = np.empty((count, GRADIENT_THERE + dof)), 0
     for k in np.argsort(found[:count, 0]):
         part, other = int(found[k, 1]), int(found[k, 2])

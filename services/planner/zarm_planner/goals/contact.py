@@ -85,11 +85,15 @@ def _surroundings(scene: ExactScene) -> contact.Surroundings:
         body,
         world,
         standing,
-        np.ones(len(world.rows), np.uint8),
+        world.checked,
         _STILL,
         motion(body, np.array((0.0, 1.0)), np.zeros((2, dof)), np.zeros(dof)),
         np.empty((_MOST_NEAR, GRADIENT + dof)),
     )
 
 
-_STILL = Movers(solids(np.zeros((0, WIDTH))), *(np.zeros(shape) for shape in ((0, 3), 0, 0, (0, 3), (0, 3))))
+_STILL = Movers(
+    solids(np.zeros((0, WIDTH))),
+    *(np.zeros(shape) for shape in ((0, 3), 0, 0, (0, 3), (0, 3))),
+    checked=np.zeros(0, np.uint64),
+)

@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Memory, RobotArrays, WorldArrays, space
+from zarm_geometry.kernels.arrays import Bits, Memory, RobotArrays, WorldArrays, space
 from zarm_geometry.kernels.clearance_search import Obstacles
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.edge import edge_free
 from zarm_geometry.kernels.kinematics import Array
-from zarm_geometry.kernels.motion import Flags, Motion, MotionBody, Movers, Solids
+from zarm_geometry.kernels.motion import Motion, MotionBody, Movers, Solids
 from zarm_geometry.kernels.nearby import GRADIENT, near
 from zarm_geometry.kernels.vectors import copy
 from zarm_planner.kernels.clock import passed
@@ -63,7 +63,7 @@ class Surroundings(NamedTuple):
     body: MotionBody
     world: Obstacles
     standing: Solids
-    alive: Flags
+    checked: Bits
     movers: Movers
     motion: Motion
     found: Array
@@ -77,7 +77,7 @@ def distances(around: Surroundings, q: Array) -> tuple[int, float]:
     copy(q, around.motion.q[0])
     around.motion.placed[0] = 0
     count = near(
-        around.body, around.world, around.standing, around.alive, around.movers, around.motion, WITHIN, around.found
+        around.body, around.world, around.standing, around.checked, around.movers, around.motion, WITHIN, around.found
     )
     least = WITHIN
     for row in range(count):

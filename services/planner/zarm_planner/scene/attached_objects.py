@@ -1,4 +1,4 @@
-"""Edits of the robot's part of the scene: attached objects, and links whose collisions are ignored."""
+"""Attached objects of the scene, and edits of them."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ from zarm_contract.messages import (
     Mesh,
     Scene,
     SceneObject,
-    SetLinkCollision,
-    SetObjectCollision,
     Sphere,
     Voxels,
 )
@@ -102,31 +100,6 @@ def check_links(links: tuple[str, ...], names: tuple[str, ...], field: str) -> N
             raise InvalidRequest(
                 f"{name} is not a link with collision geometry; those are {', '.join(links)}", field=f"{field}.{i}"
             )
-
-
-def set_links(scene: Scene, edit: SetLinkCollision) -> Scene:
-    """The scene with collisions of these links checked or ignored; no effect on links already in that state."""
-    if edit.enabled:
-        ignored = tuple(name for name in scene.ignored_links if name not in edit.names)
-    else:
-        ignored = tuple(dict.fromkeys((*scene.ignored_links, *edit.names)))
-    return scene.model_copy(update={"ignored_links": ignored})
-
-
-def set_objects(scene: Scene, edit: SetObjectCollision) -> Scene:
-    """The scene with collisions of these objects checked or ignored. Raises InvalidRequest for an unknown one."""
-    there = {item.name for item in scene.objects} | {one.object.name for one in scene.attached}
-    for index, name in enumerate(edit.names):
-        if name not in there:
-            raise InvalidRequest(
-                f"there is no object {name} in the scene; read the names from the scene first",
-                field=f"edit.names.{index}",
-            )
-    if edit.enabled:
-        ignored = tuple(name for name in scene.ignored_objects if name not in edit.names)
-    else:
-        ignored = tuple(dict.fromkeys((*scene.ignored_objects, *edit.names)))
-    return scene.model_copy(update={"ignored_objects": ignored})
 
 
 def refuse_attached(scene: Scene, names: Sequence[str], field: str) -> None:

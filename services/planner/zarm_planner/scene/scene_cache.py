@@ -75,12 +75,13 @@ class SceneCache:
         """A scene with its `objects` in place, reusing unchanged parts of the last world. Raises Unavailable."""
         model = self._with(scene, openings)
         world = self._world = World(objects, 0.0, self._store.meshes, self._world)
-        prepared = PlanningScene(scene.revision, model, world, ExactScene(model, world))
+        allowed = world.with_allowed(scene.ignored_pairs)
+        prepared = PlanningScene(scene.revision, model, allowed, ExactScene(model, allowed))
         return ReadyScene(objects, openings, prepared, prepared)
 
     def _with(self, scene: Scene, openings: Openings) -> RobotModel:
         """The robot with what it carries in a scene."""
-        return self._carriers(scene.carried, scene.ignored_links, openings)
+        return self._carriers(scene.carried, scene.ignored_links, openings, scene.ignored_pairs)
 
 
 @dataclass

@@ -21,6 +21,7 @@ from zarm_contract.messages import (
     ClearScene,
     Cuboid,
     DetachObject,
+    EditBatch,
     LoadScene,
     Mesh,
     MountTool,
@@ -32,13 +33,16 @@ from zarm_contract.messages import (
     SceneRevision,
     SetLinkCollision,
     SetObjectCollision,
+    SetPairCollision,
+    SingleEdit,
     Sphere,
     UnmountTool,
     Voxels,
 )
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.voxels import cells_of, check_reach, voxels_of
-from zarm_planner.scene.attached_objects import attach, detach, refuse_attached, set_links, set_objects
+from zarm_planner.scene.attached_objects import attach, detach, refuse_attached
+from zarm_planner.scene.ignored_collisions import set_links, set_objects, set_pairs, without_gone
 from zarm_planner.scene.tools import Tools, unmount
 from zarm_runtime.state_file import StateFile
 
@@ -46,7 +50,10 @@ log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
+Complete = Callable[[Scene, SingleEdit], tuple[SingleEdit, Array]]
+
 _AT_BASE = np.eye(4)
+_IGNORING = SetLinkCollision | SetObjectCollision | SetPairCollision
 _FARTHEST = 1e3
 _THINNEST = 1e-4
 MAX_PARTS = 300_000
@@ -101,21 +108,26 @@ class SceneStore:
     def edit(
         self,
         request: SceneEdit,
-        carrier: Callable[[Scene], Array] = lambda _: _AT_BASE,
+        complete: Complete = lambda _, edit: (edit, _AT_BASE),
         prepare: Callable[[Scene], None] = lambda _: None,
     ) -> Scene:
-        """Apply an edit, save the result and return it; `carrier` gives the pose (4, 4) of the link to which an object
-        is attached, or from which it is detached.
+        """Apply an edit, save the result and return it. `complete` checks each single edit of a scene, and fills it in; it also gives the
+        pose (4, 4) of the link to which an object is attached, or from which it is detached.
 
         `prepare` is called with the new scene before it takes effect. Raises InvalidRequest for a faulty edit and
         Unavailable if it cannot be saved, or concerns links while the scene is lost; then nothing has changed.
         """
         with self._lock:
-            if self.lost is not None and isinstance(request.edit, SetLinkCollision | SetObjectCollision):
+            if self.lost is not None and all(isinstance(edit, _IGNORING) for edit in request.edits):
                 raise Unavailable(self.lost)  # such an edit says nothing about the objects around the robot
-            if isinstance(request.edit, AddObjects | LoadScene):
-                _refuse_links(request.edit.objects, self._links)
-            scene = _edited(self._scene, request, carrier(self._scene), self.meshes, self._tools)
+            scene = self._scene
+            for index, edit in enumerate(request.edits):
+                try:
+                    scene = self._edited(scene, *complete(scene, edit))
+                except InvalidRequest as error:
+                    if not isinstance(request.edit, EditBatch):
+                        raise
+                    raise _of_batch(error, index) from error
             scene = scene.model_copy(update={"revision": _next(self._scene.revision)})
             content = encode(scene)
             if len(content) > MAX_BYTES:
@@ -136,9 +148,9 @@ class SceneStore:
 
     def notes(self, request: SceneEdit) -> tuple[str, ...]:
         """Notes on the meshes that an edit has added."""
-        if not isinstance(request.edit, AddObjects | LoadScene):
-            return ()
-        names = {item.name for item in request.edit.objects}
+        names = {
+            item.name for edit in request.edits if isinstance(edit, AddObjects | LoadScene) for item in edit.objects
+        }
         meshes = [item for item in self._scene.objects if isinstance(item, Mesh) and item.name in names]
         return tuple(note for item in meshes for note in self.meshes.notes(item))
 
@@ -160,27 +172,42 @@ class SceneStore:
         log.error("scene lost remedy=%s", self.lost)
         return new
 
+    def _edited(self, scene: Scene, edit: SingleEdit, tip: Array) -> Scene:
+        """A scene after an edit."""
+        if isinstance(edit, AddObjects | LoadScene):
+            _refuse_links(edit.objects, self._links)
+        edited = _edited(scene, edit, tip, self.meshes, self._tools, self._links)
+        return without_gone(edited, self._links)
+
     def _saved(self, scene: Scene) -> Scene:
         self._file.save(scene)
         return scene
 
 
-def _edited(scene: Scene, request: SceneEdit, tip: Array, meshes: Meshes, tools: Tools) -> Scene:
+def _of_batch(error: InvalidRequest, index: int) -> InvalidRequest:
+    """A fault of an edit as one of the batch that it is in."""
+    place = f"edit.edits.{index}"
+    return InvalidRequest(error.problem.message, field=(error.problem.field or "edit").replace("edit", place, 1))
+
+
+def _edited(scene: Scene, edit: SingleEdit, tip: Array, meshes: Meshes, tools: Tools, links: Collection[str]) -> Scene:
     """The scene after an edit, not yet with its own revision; objects stay in their order."""
     objects = {item.name: item for item in scene.objects}
-    match request.edit:
-        case AttachObject() as edit:
+    match edit:
+        case AttachObject():
             return attach(scene, edit, tip, meshes)
-        case DetachObject() as edit:
+        case DetachObject():
             return detach(scene, edit, tip)
-        case MountTool() as edit:
+        case MountTool():
             return tools.mount(scene, edit.tool)
-        case UnmountTool() as edit:
+        case UnmountTool():
             return unmount(scene, edit.tool)
-        case SetLinkCollision() as edit:
+        case SetLinkCollision():
             return set_links(scene, edit)
-        case SetObjectCollision() as edit:
+        case SetObjectCollision():
             return set_objects(scene, edit)
+        case SetPairCollision():
+            return set_pairs(scene, edit, links)
         case ClearScene():
             objects = {}
         case RemoveObjects(names=names):
@@ -200,9 +227,7 @@ def _edited(scene: Scene, request: SceneEdit, tip: Array, meshes: Meshes, tools:
             objects = _added(objects, items, replace, meshes)
         case unknown:
             assert_never(unknown)
-    there = {*objects, *(one.object.name for one in scene.attached)}
-    ignored = tuple(name for name in scene.ignored_objects if name in there)
-    return scene.model_copy(update={"objects": tuple(objects.values()), "ignored_objects": ignored})
+    return scene.model_copy(update={"objects": tuple(objects.values())})
 
 
 def _refuse_links(items: Sequence[SceneObject | PointCloud], links: Collection[str]) -> None:

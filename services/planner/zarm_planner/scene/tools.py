@@ -98,10 +98,7 @@ def unmount(scene: Scene, name: str) -> Scene:
     for one in scene.attached:
         if one.link == name:
             raise InvalidRequest(f"{name} carries {one.object.name}; detach it first", field="edit.tool")
-    gone = {one.object.name for one in scene.attached if one.tool == name}
-    attached = tuple(one for one in scene.attached if one.tool != name)
-    ignored = tuple(one for one in scene.ignored_objects if one not in gone)
-    return scene.model_copy(update={"attached": attached, "ignored_objects": ignored})
+    return scene.model_copy(update={"attached": tuple(one for one in scene.attached if one.tool != name)})
 
 
 def at_tool(robot: RobotDescription, scene: Scene, edit: AttachObject) -> AttachObject:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry import rows
+from zarm_geometry.allowed_collisions import EVERY_LINK
 from zarm_geometry.kernels.kinematics import frames
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
@@ -71,11 +72,12 @@ def find_disconnection(
 
     None if that is not proven by the deadline, at which it returns.
     """
-    if not len(world.rows):
+    every = np.flatnonzero(world.arrays.checked == EVERY_LINK)  # what some links may touch proves nothing
+    if not len(every):
         return None
-    lower, upper = rows.bounds(world.rows)
+    lower, upper = rows.bounds(world.rows[every])
     widest = np.sort(upper - lower, axis=1)[:, 1:].prod(axis=1)
-    largest = np.argsort(-widest, kind="stable")[:_MOST_SHAPES]
+    largest = every[np.argsort(-widest, kind="stable")[:_MOST_SHAPES]]
     shapes, owner = world.rows[largest], world.owner[largest]
     balls = _inner_balls(model)
     for count in range(1, min(len(_CELLS), model.dof) + 1):

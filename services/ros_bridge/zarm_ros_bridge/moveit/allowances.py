@@ -13,9 +13,8 @@ from zarm_ros_bridge.moveit.error_codes import Refusal
 
 @dataclass(frozen=True)
 class Allowances:
-    """What may touch everything, by name, and the `pairs` of others that may touch each other; `names` are all in the matrix."""
+    """What may touch everything, by name, and the `pairs` of others that may touch each other."""
 
-    names: frozenset[str]
     whole: frozenset[str]
     pairs: frozenset[frozenset[str]]
 
@@ -44,18 +43,4 @@ class Allowances:
             for i, j in itertools.combinations(range(len(names)), 2)
             if (rows[i][j] or rows[j][i]) and not {names[i], names[j]} & whole
         }
-        return cls(frozenset(names) | whole, frozenset(whole), frozenset(pairs))
-
-    def check_pairs(self, now: Allowances) -> None:
-        """Raises Refusal if a pair may touch that may not `now`: only whole links and objects are ignored.
-
-        Pairs that the descriptor leaves out stay so, whatever the matrix says.
-        """
-        if added := self.pairs - now.pairs:
-            a, b = sorted(next(iter(added)))
-            raise Refusal(
-                Val.FAILURE,
-                f"{a} and {b} cannot be allowed to touch apart from all else; allow one of them to touch everything, attach the "
-                "object with touch_links, or name it in touch of a program",
-                "allowed_collision_matrix",
-            )
+        return cls(frozenset(whole), frozenset(pairs))

@@ -19,6 +19,7 @@ from moveit_msgs.msg import (
 from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA
 
+from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.messages import Scene, SceneObject, Voxels
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.frames import matrix
@@ -42,6 +43,31 @@ def grouped(objects: Iterable[SceneObject]) -> dict[str, list[SceneObject]]:
     for item in objects:
         found.setdefault(id_of(item.name), []).append(item)
     return found
+
+
+def allowed_by(scene: Scene, descriptor: RobotDescriptor) -> Any:
+    """The allowed collision matrix: the pairs of links that the descriptor leaves out, and what the scene ignores."""
+    links = list(descriptor.collision)
+    pairs = {frozenset(pair) for pair in descriptor.self_collision_ignore}
+    pairs |= {frozenset(map(id_of, pair)) for pair in scene.ignored_pairs}
+    objects = dict.fromkeys(id_of(name) for name in scene.ignored_objects)
+    paired = dict.fromkeys(id_of(name) for pair in scene.ignored_pairs for name in pair)
+    names = [*links, *(name for name in {**objects, **paired} if name not in links)]
+    whole = {*scene.ignored_links, *objects}
+    rows = [
+        [
+            (a == b and a in whole) or (a != b and (frozenset((a, b)) in pairs or a in whole or b in whole))
+            for b in names
+        ]
+        for a in names
+    ]
+    defaults = sorted(whole)
+    return AllowedCollisionMatrix(
+        entry_names=names,
+        entry_values=[AllowedCollisionEntry(enabled=row) for row in rows],
+        default_entry_names=defaults,
+        default_entry_values=[True] * len(defaults),
+    )
 
 
 class PlanningSceneMessages:
@@ -80,7 +106,7 @@ class PlanningSceneMessages:
         if components & C.OCTOMAP:
             message.world.octomap = octomap(blocks, descriptor.base_link)
         if components & C.ALLOWED_COLLISION_MATRIX:
-            message.allowed_collision_matrix = self.allowed(scene)
+            message.allowed_collision_matrix = allowed_by(scene, descriptor)
         if components & C.LINK_PADDING_AND_SCALING:
             message.link_padding = [LinkPadding(link_name=link) for link in descriptor.collision]
             message.link_scale = [LinkScale(link_name=link, scale=1.0) for link in descriptor.collision]
@@ -97,28 +123,6 @@ class PlanningSceneMessages:
         message.robot_state.is_diff = True
         message.world.octomap = octomap(self._voxels.objects.values(), self._robot.descriptor.base_link)
         return message
-
-    def allowed(self, scene: Scene) -> Any:
-        """Which pairs are not checked: those of the descriptor, and all of what the scene ignores."""
-        links = list(self._robot.descriptor.collision)
-        ignored = set(scene.ignored_links)
-        names = [*links, *(id_of(name) for name in _ignored_objects(scene))]
-        pairs = {frozenset(pair) for pair in self._robot.descriptor.self_collision_ignore}
-        whole = ignored | set(names[len(links) :])
-        rows = [
-            [
-                (a == b and a in whole) or (a != b and (frozenset((a, b)) in pairs or a in whole or b in whole))
-                for b in names
-            ]
-            for a in names
-        ]
-        defaults = sorted(whole)
-        return AllowedCollisionMatrix(
-            entry_names=names,
-            entry_values=[AllowedCollisionEntry(enabled=row) for row in rows],
-            default_entry_names=defaults,
-            default_entry_values=[True] * len(defaults),
-        )
 
     def _object(self, identity: str, parts: list[SceneObject], *, geometry: bool) -> Any:
         base = self._robot.descriptor.base_link
@@ -154,7 +158,3 @@ def _octomap_of(objects: Iterable[SceneObject]) -> tuple[Voxels, ...]:
     found = tuple(part for part in parts if isinstance(part, Voxels) and part.orientation == _UPRIGHT)
     same = {(part.resolution, part.position) for part in found}
     return found if len(found) == len(parts) and len(same) == 1 else ()
-
-
-def _ignored_objects(scene: Scene) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(scene.ignored_objects))

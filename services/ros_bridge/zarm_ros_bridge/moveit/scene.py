@@ -26,18 +26,18 @@ from rclpy.qos import QoSProfile
 from std_srvs.srv import Empty
 
 from zarm_contract.errors import InternalError, ZarmError
-from zarm_contract.messages import Scene, SceneObject, Voxels
+from zarm_contract.messages import Scene, Voxels
 from zarm_geometry.voxel_blocks import VoxelBlocks
 from zarm_ros_bridge.convert.colours import Colour
 from zarm_ros_bridge.convert.fields import finite
 from zarm_ros_bridge.convert.joints import known_as
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.frames import Frames, placed
-from zarm_ros_bridge.moveit.allowances import Allowances
-from zarm_ros_bridge.moveit.collision_objects import id_of, moved, name_of, origin_of, parts_of
+from zarm_ros_bridge.frames import Frames
+from zarm_ros_bridge.moveit.collision_objects import id_of, name_of
 from zarm_ros_bridge.moveit.error_codes import Refusal
 from zarm_ros_bridge.moveit.octomap import OCTOMAP, voxels_of
-from zarm_ros_bridge.moveit.planning_scene import ALL, PlanningSceneMessages, grouped
+from zarm_ros_bridge.moveit.planning_scene import ALL, PlanningSceneMessages
+from zarm_ros_bridge.moveit.scene_draft import SceneDraft
 from zarm_ros_bridge.moveit.scene_text import objects_of, text_of
 from zarm_ros_bridge.ros import Ros
 
@@ -137,7 +137,9 @@ class PlanningScenes:
 
     def _forget_map(self, _: Any) -> None:
         """Forget the octomap that a client has sent, and what cameras have seen. Raises Unavailable where that cannot be done."""
-        self._replace_octomap()
+        draft = self._draft()
+        draft.replace_octomap()
+        self._apply_draft(draft)
         if self._voxels.objects:
             self._engine.client.perception.clear()
 
@@ -170,25 +172,60 @@ class PlanningScenes:
             if scale.scale != 1.0:
                 raise Refusal(Val.FAILURE, "links are not scaled; leave it at 1", f"link_scale[{i}].scale")
         seen = self._mapped(message.world.octomap)
-        if margin is not None:
-            self._engine.client.planner.settings(margin=margin)
+        draft = self._draft()
         if not message.is_diff:
-            self._clear()
+            draft.clear()
         if seen is not None:
-            self._replace_octomap(seen)
+            draft.replace_octomap(seen)
         for attached in message.robot_state.attached_collision_objects:
             if attached.object.operation == CollisionObject.REMOVE:
-                self._attachment(attached)
+                draft.change_attached(attached)
         for item in message.world.collision_objects:
-            self._object(item)
+            draft.change_object(item)
         for attached in message.robot_state.attached_collision_objects:
             if attached.object.operation != CollisionObject.REMOVE:
-                self._attachment(attached)
+                draft.change_attached(attached)
         if message.allowed_collision_matrix.entry_names or message.allowed_collision_matrix.default_entry_names:
-            self._allow(message.allowed_collision_matrix)
+            draft.allow(message.allowed_collision_matrix)
         for colour in message.object_colors:
             c = colour.color
-            self._colours[name_of(colour.id)] = (c.r, c.g, c.b, c.a)
+            draft.colours[name_of(colour.id)] = (c.r, c.g, c.b, c.a)
+        planner = self._engine.client.planner
+        before = planner.settings().margin
+        if margin is not None:
+            planner.settings(margin=margin)
+        try:
+            self._apply_draft(draft)
+        except ZarmError:
+            if margin is not None:
+                planner.settings(margin=before)
+            raise
+
+    def _object(self, message: Any) -> None:
+        draft = self._draft()
+        draft.change_object(message)
+        self._apply_draft(draft)
+
+    def _attachment(self, message: Any) -> None:
+        draft = self._draft()
+        draft.change_attached(message)
+        self._apply_draft(draft)
+
+    def _draft(self) -> SceneDraft:
+        """What is to change in the present scene."""
+        engine = self._engine
+        return SceneDraft(engine.client.scene.read(), engine.robot, self._frames, self._origins, self._colours)
+
+    def _apply_draft(self, draft: SceneDraft) -> None:
+        """Apply all changes of a draft, or none. Raises the planner's errors."""
+        if (edit := draft.edit) is not None:
+            self._engine.client.scene.apply(edit)
+        self._origins |= draft.origins
+        for gone in {*self._origins} - {*draft.origins}:
+            self._origins.pop(gone, None)
+        self._colours.update(draft.colours)
+        for gone in {*self._colours} - {*draft.colours}:
+            self._colours.pop(gone, None)
 
     def _margin(self, padding: Sequence[Any]) -> float | None:
         """The margin (m) to objects that a padding of all links asks for; None for none. Raises Refusal for links that differ."""
@@ -214,15 +251,6 @@ class PlanningScenes:
         frame = self._frames.pose_of(header.frame_id, header.stamp.sec + header.stamp.nanosec * 1e-9)
         return voxels_of(message, frame, OCTOMAP)
 
-    def _replace_octomap(self, seen: Sequence[Voxels] = ()) -> None:
-        """Put these objects in the place of the octomap that a client has sent."""
-        scene, names = self._engine.client.scene, {one.name for one in seen}
-        gone = [part.name for part in grouped(scene.read().objects).get(OCTOMAP, ()) if part.name not in names]
-        if seen:
-            scene.add(*seen, replace=True)
-        if gone:
-            scene.remove(*gone)
-
     def _write(self, name: str) -> None:
         """Save the objects to a file of this machine."""
         scene = self._engine.client.scene.read()
@@ -240,120 +268,10 @@ class PlanningScenes:
             text = path.read_text()
         except (OSError, UnicodeDecodeError) as error:
             raise Refusal(Val.FAILURE, f"{path} cannot be read: {error}", "file_path_and_name") from error
+        draft = self._draft()
         for item in objects_of(text, self._frames.links.base):
-            self._object(item)
-
-    def _object(self, message: Any) -> None:
-        scene = self._engine.client.scene
-        if message.operation == CollisionObject.REMOVE:
-            self._remove(message.id)
-            return
-        name = name_of(message.id)
-        stamp = message.header.stamp
-        frame = self._frames.pose_of(message.header.frame_id, stamp.sec + stamp.nanosec * 1e-9)
-        known = grouped(scene.read().objects).get(name, [])
-        if message.operation == CollisionObject.MOVE:
-            if not known:
-                raise Refusal(Val.INVALID_OBJECT_NAME, f"there is no object {message.id!r} to move", "id")
-            before = self._origins.get(name, placed(known[0]))
-            now = origin_of(message, frame, "collision_object")
-            scene.add(*(moved(part, now @ np.linalg.inv(before)) for part in known), replace=True)
-            self._origins[name] = now
-            return
-        parts = parts_of(message, name, frame, "collision_object")
-        if message.operation == CollisionObject.APPEND and known:
-            whole = [*known, *parts]
-            parts = tuple(part.model_copy(update={"name": f"{name}..{i}"}) for i, part in enumerate(whole))
-        elif message.operation not in (CollisionObject.ADD, CollisionObject.APPEND):
-            raise Refusal(Val.INVALID_OBJECT_NAME, f"{message.operation} is no operation on an object", "operation")
-        else:
-            self._origins[name] = origin_of(message, frame, "collision_object")
-        names = {part.name for part in parts}
-        scene.add(*parts, replace=True)
-        if gone := [part.name for part in known if part.name not in names]:
-            scene.remove(*gone)
-
-    def _remove(self, identity: str) -> None:
-        """Remove an object, or with an empty id all, as MoveIt does."""
-        scene = self._engine.client.scene
-        if not identity:
-            scene.clear()
-            self._origins.clear()
-            return
-        name = name_of(identity)
-        parts = grouped(scene.read().objects).get(name)
-        if not parts:
-            raise Refusal(Val.INVALID_OBJECT_NAME, f"there is no object {identity!r} to remove", "id")
-        scene.remove(*(part.name for part in parts))
-        self._origins.pop(name, None)
-        self._colours.pop(name, None)
-
-    def _attachment(self, message: Any) -> None:
-        scene = self._engine.client.scene
-        identity = message.object.id
-        held = grouped(one.object for one in scene.read().attached)
-        if message.object.operation == CollisionObject.REMOVE:
-            names = held if not identity else [name_of(identity)]
-            for name in names:
-                if name not in held:
-                    raise Refusal(Val.INVALID_OBJECT_NAME, f"the robot carries no object {identity!r}", "object.id")
-                for part in held[name]:
-                    scene.detach(part.name)
-            return
-        carrier = self._carrier(message.link_name)
-        if message.object.primitives or message.object.meshes or message.object.planes:
-            self._object(message.object)
-        name = name_of(identity, "object.id")
-        parts = grouped(scene.read().objects).get(name)
-        if not parts:
-            raise Refusal(
-                Val.INVALID_OBJECT_NAME, f"there is no object {identity!r} in the scene to attach", "object.id"
-            )
-        links = self._engine.robot.descriptor.collision
-        touch = {known_as(link, links) for link in (message.link_name, *message.touch_links)}
-        mass = message.weight / len(parts) if message.weight > 0.0 else None
-        for part in parts:
-            scene.attach(part.name, touch_links=[link for link in links if link in touch], link=carrier, mass=mass)
-
-    def _carrier(self, name: str) -> str | None:
-        """The link that an object is attached to; None for one that is fixed to the tip. Raises Refusal for none of the robot's."""
-        links, tip = self._frames.links, self._engine.robot.descriptor.tip_link
-        link = known_as(name, links.links) or tip
-        if link not in links.links:
-            raise Refusal(
-                Val.INVALID_LINK_NAME,
-                f"the robot has no link {name!r}; choose among {', '.join(links.links)}",
-                "link_name",
-            )
-        return None if links.rigid(link) == links.rigid(tip) else link
-
-    def _allow(self, matrix: Any) -> None:
-        """Ignore collisions of what may touch everything, and check the rest. Raises Refusal for single pairs."""
-        client = self._engine.client
-        scene = client.scene.read()
-        wanted = Allowances.of(matrix)
-        now = Allowances.of(self._messages.allowed(scene))
-        objects = grouped((*scene.objects, *(one.object for one in scene.attached)))
-        wanted.check_pairs(now)
-        for ids, enabled in ((wanted.whole - now.whole, False), (now.whole - wanted.whole, True)):
-            if unknown := ids - {*objects, *self._engine.robot.descriptor.collision}:
-                raise Refusal(
-                    Val.INVALID_OBJECT_NAME,
-                    f"{', '.join(sorted(unknown))} is neither a link with collision geometry nor an object",
-                    "allowed_collision_matrix",
-                )
-            if links := [link for link in self._engine.robot.descriptor.collision if link in ids]:
-                client.scene.set_link_collision(*links, enabled=enabled)
-            if names := [name for identity in ids if identity in objects for name in _names(objects[identity])]:
-                client.scene.set_object_collision(*names, enabled=enabled)
-
-    def _clear(self) -> None:
-        scene = self._engine.client.scene
-        for attached in scene.read().attached:
-            if attached.tool is None:
-                scene.detach(attached.object.name)
-        scene.clear()
-        self._origins.clear()
+            draft.change_object(item)
+        self._apply_draft(draft)
 
     # -- what is published --
 
@@ -405,10 +323,6 @@ def _file(name: str) -> Path:
             Val.FAILURE, f"{name!r} is no file of a scene; give one that ends with .scene", "file_path_and_name"
         )
     return path
-
-
-def _names(parts: list[SceneObject]) -> list[str]:
-    return [part.name for part in parts]
 
 
 def _differ(a: tuple[float, ...], b: tuple[float, ...]) -> bool:

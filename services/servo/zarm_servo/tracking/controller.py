@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from zarm_contract.messages import Attached
+from zarm_geometry.allowed_collisions import Pairs
 from zarm_geometry.kernels.situation import nearby
 from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import Openings, RobotModel
@@ -63,6 +64,7 @@ class Surroundings:
     ignored_links: Sequence[str] = ()
     moving: Sequence[MovingObject] = ()
     openings: Openings = ()
+    allowed: Pairs = ()
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ class Controller:
 
     def step(self, target: Target | None, age: float, around: Surroundings = Surroundings()) -> Step:
         """The next step towards `target`, which is `age` s old; with None or a STALE target, towards rest."""
-        situation = self._check.situation(around.attached, around.ignored_links, around.moving, around.openings)
+        situation = self._situation(around)
         if target is None or age > STALE:
             wanted, limitation = np.zeros(self._model.dof), Limitation("target_stale")
         else:
@@ -130,13 +132,18 @@ class Controller:
         """One step along a given motion inside the joints' limits, to the state `after` this one (3, J); None, and nothing changes, if that
         or the braking from there is not free.
         """
-        situation = self._check.situation(around.attached, around.ignored_links, around.moving, around.openings)
+        situation = self._situation(around)
         motion, limiting, _, _ = free_after(situation.arrays, self.state, after, self._limits, self._margin)
         if limiting != FREE:
             return None
         self.state, self._braked, self._leaving = motion.after, 0.0, False
         self._braking = SpeedChange(motion.begins, motion.states, motion.jerks)
         return Step(self.state, self._braking, 0.0, Limitation("free"))
+
+    def _situation(self, around: Surroundings) -> Situation:
+        return self._check.situation(
+            around.attached, around.ignored_links, around.moving, around.openings, around.allowed
+        )
 
     def _to_rest(self, state: Array) -> SpeedChange:
         return SpeedChange.to(np.zeros(state.shape[1]), state, self._limits.acceleration, self._limits.jerk)

@@ -89,6 +89,7 @@ class SessionScene:
             ignored_links=around.ignored_links,
             moving=self._moved(now, 0.0, scale),
             openings=around.openings,
+            allowed=around.allowed,
         )
 
     def is_free(self, start: Array, end: Array, margin: float) -> bool:
@@ -101,6 +102,7 @@ class SessionScene:
             attached=self._around.attached,
             ignored_links=self._around.ignored_links,
             openings=self._around.openings,
+            allowed=self._around.allowed,
             acceleration=np.zeros(len(start)),
         ).free
 
@@ -123,7 +125,7 @@ class SessionScene:
 
     def _load(self) -> None:
         scene, movers = self._seen
-        around = Surroundings(scene.attached, scene.ignored_links, openings=scene.openings)
+        around = Surroundings(scene.attached, scene.ignored_links, openings=scene.openings, allowed=scene.ignored_pairs)
         if len(around.attached) > len(self._around.attached):
             self._around = (
                 around  # an object just attached or detached may be present twice for a moment, but is never missing

@@ -99,11 +99,7 @@ class Checker:
         other objects, nor the robot's own links, which may pass close to each other. The robot brakes along the
         trajectory, so its braking is free wherever the trajectory is. Raises Unavailable if a mesh cannot be read.
         """
-        same = verified is not None and (verified.attached, verified.ignored_links, verified.openings) == (
-            scene.attached,
-            scene.ignored_links,
-            scene.openings,
-        )
+        same = verified is not None and _robot_in(verified) == _robot_in(scene)
         before = verified.objects if same and verified is not None else {}
         objects = {
             name: item for name, item in scene.objects.items() if before.get(name) != item and name not in without
@@ -133,7 +129,9 @@ class Checker:
         positions = trajectory.positions(times)
 
         def first(*grown: MovingObject) -> MotionVerdict:
-            situation = self._scene.motions.situation(scene.attached, scene.ignored_links, grown, scene.openings)
+            situation = self._scene.motions.situation(
+                scene.attached, scene.ignored_links, grown, scene.openings, scene.ignored_pairs
+            )
             return situation.check(times, positions, margin=CONTACT, self_collision=self_collision)
 
         contact = first()
@@ -166,7 +164,9 @@ class Checker:
         positions = trajectory.positions(times)
 
         def first(places: Sequence[MovingObject]) -> MotionVerdict:
-            situation = self._moving.situation(scene.attached, scene.ignored_links, places, scene.openings)
+            situation = self._moving.situation(
+                scene.attached, scene.ignored_links, places, scene.openings, scene.ignored_pairs
+            )
             return situation.check(times, positions, margin=CONTACT, self_collision=False)
 
         found = first([place for mover in movers for place in mover.swept(now, stopping, _FINENESS)])
@@ -178,6 +178,11 @@ class Checker:
         present = first(mover.swept(now, 0.0, _FINENESS)).contact_time
         time = trajectory.duration if present is None else present
         return PathValidity(until, Obstruction(object=name, link=found.link or "", time=max(time, until)))
+
+
+def _robot_in(scene: SceneSnapshot) -> tuple[object, ...]:
+    """What decides how the robot is checked in a scene."""
+    return scene.attached, scene.ignored_links, scene.ignored_pairs, scene.openings
 
 
 def _parts(begin: float, end: float, touches: Sequence[Touch]) -> Iterator[tuple[float, float, frozenset[str]]]:

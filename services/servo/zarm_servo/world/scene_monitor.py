@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 from zarm_contract import messages
 from zarm_contract.messages import Attached, Scene, SceneObject, SceneRevision
+from zarm_geometry.allowed_collisions import Pairs
 from zarm_geometry.gripper_openings import openings_of
 from zarm_geometry.robot_model import Openings
 
@@ -30,6 +31,7 @@ class SceneSnapshot:
     objects: Mapping[str, SceneObject] = field(default_factory=dict)
     attached: tuple[Attached, ...] = ()
     ignored_links: tuple[str, ...] = ()
+    ignored_pairs: Pairs = ()
     lost: bool = False
     openings: Openings = ()
 
@@ -101,7 +103,15 @@ class SceneMonitor:
             kept = {name: item for name, item in before.objects.items() if lost and name not in self._voxels}
             objects = {**kept, **{item.name: item for item in scene.obstacles}}
             self._ignored = frozenset(scene.ignored_objects)
-            edited = SceneSnapshot(scene.revision, objects, scene.carried, scene.ignored_links, lost, before.openings)
+            edited = SceneSnapshot(
+                scene.revision,
+                objects,
+                scene.carried,
+                scene.ignored_links,
+                scene.ignored_pairs,
+                lost,
+                before.openings,
+            )
             self._scene = self._latest = replace(edited, objects={**objects, **self._voxels})
             # A plan may have been made before the cameras saw what they see now.
             self._past[scene.revision] = edited
