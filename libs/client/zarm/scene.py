@@ -106,7 +106,7 @@ class Scene:
 
     def set_pair_collision(self, *pairs: tuple[str, str], enabled: bool) -> SceneEdited:
         """Turn collision checking of these pairs on or off: of a link or an attached object with an object, or of two of the former."""
-        return self._edit(op="pairs", pairs=pairs, enabled=enabled)
+        return self._edit(op="pairs", names=pairs, enabled=enabled)
 
     def move(
         self,

@@ -318,7 +318,7 @@ def test_a_mesh_or_voxels_are_carried_as_few_cuboids_that_contain_them_and_put_d
     shapes = World(store.scene.objects, 0.0, store.meshes).rows
     flat = shapes[:, 15] < 0.0
     points = np.concatenate([rows.corners(shapes[flat]).reshape(-1, 3), np.mean(rows.bounds(shapes[~flat]), axis=0)])
-    carried = store.edit(attach("part"), lambda _: tip).attached[0]
+    carried = store.edit(attach("part"), lambda _, edit: (edit, tip)).attached[0]
     assert 0 < len(carried.parts) <= MAX_ATTACHED_PARTS
 
     parts = rows.placed(rows.primitives(carried.parts), tip)
@@ -327,7 +327,7 @@ def test_a_mesh_or_voxels_are_carried_as_few_cuboids_that_contain_them_and_put_d
     centers = body.balls[:, :3] @ tip[:3, :3].T + tip[:3, 3]
     assert (np.linalg.norm(points[:, None] - centers, axis=2) - body.balls[:, 3]).min(axis=1).max() <= 1e-6
 
-    (put_down,) = store.edit(SceneEdit(edit=DetachObject(op="detach", name="part")), lambda _: tip).objects
+    (put_down,) = store.edit(SceneEdit(edit=DetachObject(op="detach", name="part")), lambda _, edit: (edit, tip)).objects
     assert put_down.position == pytest.approx(item.position)
 
 

@@ -68,7 +68,7 @@ def add(*objects: Sphere) -> AddObjects:
 
 
 def pairs(*named: tuple[str, str], enabled: bool = False) -> SetPairCollision:
-    return SetPairCollision(op="pairs", pairs=named, enabled=enabled)
+    return SetPairCollision(op="pairs", names=named, enabled=enabled)
 
 
 def single(edit: SingleEdit) -> SceneEdit:
@@ -121,10 +121,10 @@ def test_a_pair_ends_with_its_object(arm: RobotModel, planner: Handlers) -> None
 @pytest.mark.parametrize(
     ("edit", "field", "says"),
     [
-        (pairs(("rod", "ball"), ("rod", "nobody")), "edit.pairs.1", "nobody is neither a link .* nor an object"),
-        (pairs(("ball", "other")), "edit.pairs.0", "never checked against each other"),
-        (pairs(("rod", "rod")), "edit.pairs.0", "never checked against each other"),
-        (pairs(*((f"b{k}", "rod") for k in range(MAX_PAIRED))), "edit.pairs", f"more than {MAX_PAIRED}"),
+        (pairs(("rod", "ball"), ("rod", "nobody")), "edit.names.1", "nobody is neither a link .* nor an object"),
+        (pairs(("ball", "other")), "edit.names.0", "never checked against each other"),
+        (pairs(("rod", "rod")), "edit.names.0", "never checked against each other"),
+        (pairs(*((f"b{k}", "rod") for k in range(MAX_PAIRED))), "edit.names", f"more than {MAX_PAIRED}"),
     ],
 )
 def test_a_faulty_pair_is_refused(

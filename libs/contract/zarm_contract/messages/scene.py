@@ -324,7 +324,7 @@ class SetPairCollision(Message):
     """
 
     op: Literal["pairs"]
-    pairs: tuple[tuple[str, str], ...] = Field(min_length=1, max_length=1000)
+    names: tuple[tuple[str, str], ...] = Field(min_length=1, max_length=1000)
     enabled: bool
 
 

@@ -36,8 +36,8 @@ def set_objects(scene: Scene, edit: SetObjectCollision) -> Scene:
 def set_pairs(scene: Scene, edit: SetPairCollision, links: Collection[str]) -> Scene:
     """The scene with collisions of these pairs checked or ignored. Raises InvalidRequest for a name that is none of the `links` and no object."""
     loose, there = {item.name for item in scene.objects}, names_in(scene)
-    for index, pair in enumerate(edit.pairs):
-        field = f"edit.pairs.{index}"
+    for index, pair in enumerate(edit.names):
+        field = f"edit.names.{index}"
         for name in pair:
             if name not in there and name not in links:
                 raise InvalidRequest(
@@ -50,13 +50,13 @@ def set_pairs(scene: Scene, edit: SetPairCollision, links: Collection[str]) -> S
                 field=field,
             )
     before = {frozenset(pair): pair for pair in scene.ignored_pairs}
-    named = {frozenset(pair): pair for pair in edit.pairs}
+    named = {frozenset(pair): pair for pair in edit.names}
     kept = {key: pair for key, pair in before.items() if key not in named} if edit.enabled else {**named, **before}
     names = {name for pair in kept for name in pair}
     if len(names) > MAX_PAIRED:
         raise InvalidRequest(
             f"{len(names)} names would be in ignored pairs, more than {MAX_PAIRED}; ignore a link or an object as a whole",
-            field="edit.pairs",
+            field="edit.names",
         )
     return scene.model_copy(update={"ignored_pairs": tuple(sorted(tuple(sorted(pair)) for pair in kept.values()))})
 

@@ -155,7 +155,7 @@ class SceneDraft:
                 if not {one, other} <= {*self._objects}
             )
             if single:
-                self._edits.append(SetPairCollision(op="pairs", pairs=single, enabled=enabled))
+                self._edits.append(SetPairCollision(op="pairs", names=single, enabled=enabled))
 
     def _check_names(self, ids: set[str], objects: Mapping[str, Sequence[SceneObject]]) -> None:
         if unknown := ids - {*objects, *self._robot.urdf.links}:
