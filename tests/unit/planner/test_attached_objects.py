@@ -327,7 +327,9 @@ def test_a_mesh_or_voxels_are_carried_as_few_cuboids_that_contain_them_and_put_d
     centers = body.balls[:, :3] @ tip[:3, :3].T + tip[:3, 3]
     assert (np.linalg.norm(points[:, None] - centers, axis=2) - body.balls[:, 3]).min(axis=1).max() <= 1e-6
 
-    (put_down,) = store.edit(SceneEdit(edit=DetachObject(op="detach", name="part")), lambda _, edit: (edit, tip)).objects
+    (put_down,) = store.edit(
+        SceneEdit(edit=DetachObject(op="detach", name="part")), lambda _, edit: (edit, tip)
+    ).objects
     assert put_down.position == pytest.approx(item.position)
 
 
