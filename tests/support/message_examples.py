@@ -316,6 +316,7 @@ EXAMPLES: tuple[Message, ...] = (
     _GROUP_GOAL,
     _GROUPS_GOAL,
     m.PlanRequest(goal=_GROUPS_GOAL),
+    m.PlanRequest(goal=_JOINT_GOAL, group="right", concurrent=_TRAJECTORY),
     _TIMINGS,
     _TOO_NEAR,
     _TOOL_MOTION,
@@ -420,6 +421,8 @@ EXAMPLES: tuple[Message, ...] = (
         scene_revision=_REVISION,
         openings=(m.GripperOpening(gripper="hand", width=0.04),),
     ),
+    m.ExecuteRequest(plan_id="plan-2", continues=m.Continuation(goal_id="goal-1", number=1, at=0.5)),
+    m.Continuation(goal_id="goal-1", number=1, at=0.5),
     m.Accepted(goal_id="goal-1"),
     m.GoalState(
         goal_id="goal-1",

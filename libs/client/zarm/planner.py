@@ -25,6 +25,7 @@ from zarm_contract.messages import (
     Segment,
     SettingsChange,
     StartState,
+    Trajectory,
 )
 
 if TYPE_CHECKING:
@@ -59,7 +60,8 @@ class PlanOptions(Settings, total=False):
     `self_margin` (m) the distance between the robot's own links, by default the descriptor's. With `optimize_s` 0, the
     same request, `seed` (default: 0) and scene give the same motion. `openings` (m) are those of grippers by name, by default the
     measured ones. Only the joints of a `group` move: joint positions as a goal are then its own, and poses those of its
-    tip; `start` is always that of the whole robot.
+    tip; `start` is always that of the whole robot. `concurrent` is a motion of other joints at the same time, a plan or a trajectory: the
+    plan then has both, and the group starts as soon as all stay apart.
     """
 
     start: Numbers | StartState | None
@@ -68,6 +70,7 @@ class PlanOptions(Settings, total=False):
     seed: int
     openings: Mapping[str, float] | None
     group: str | None
+    concurrent: Plan | Trajectory | None
 
 
 class Planner(Kinematics):
@@ -80,7 +83,7 @@ class Planner(Kinematics):
         A robot with several arms moves them together to `{"left": pose, "right": pose}`, and one of them with `group`.
 
         `options` are `start`, `path_constraint`, `planner`, `timeout`, `max_attempts`, `optimize_s`, `velocity_scale`,
-        `acceleration_scale`, `margin`, `self_margin`, `seed`, `openings` and `group`: see `zarm.PlanOptions`.
+        `acceleration_scale`, `margin`, `self_margin`, `seed`, `openings`, `group` and `concurrent`: see `zarm.PlanOptions`.
 
         Ctrl-C ends the planning. Raises PlanningFailed, DeadlineExceeded or InvalidRequest.
         """
@@ -155,6 +158,8 @@ def plan_request(goal: Goal, **options: Unpack[PlanOptions]) -> PlanRequest:
     else:
         fields["start"] = joints_of(start, "start")
     fields["openings"] = _openings(options.get("openings"))
+    beside = options.get("concurrent")
+    fields["concurrent"] = beside.trajectory if isinstance(beside, Plan) else beside
     return made(PlanRequest, goal=goal_of(goal), **fields)
 
 

@@ -5,21 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar, cast
+from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar, Unpack, cast
 
 from zarm.calls import Calls
 from zarm.connection import ANSWER_SECONDS, Connection
-from zarm.executor import Executor
+from zarm.executor import Executor, OnProgress
 from zarm.grasping import Grasping
 from zarm.gripper import Gripper
+from zarm.motions import Goal
 from zarm.outputs import Outputs
 from zarm.perception import Perception
-from zarm.planner import Planner
+from zarm.planner import Planner, PlanOptions, plan_request
 from zarm.scene import Scene
 from zarm.servo import Servo, Track
 from zarm.simulation import Simulation
 from zarm.values import Pose
-from zarm_contract.messages import Health, Nothing
+from zarm_contract.messages import GoalState, Health, Nothing
 
 if TYPE_CHECKING:
     from zarm.recording import Recorder
@@ -111,6 +112,25 @@ class Robot(Calls):
     def tip(self, group: str | None = None) -> Pose:
         """The present pose of the tip; with a `group`, that of its tip."""
         return self.fk([self.joint_state().position], group=group)[0]
+
+    def execute_alongside(
+        self, goal: Goal, on_progress: OnProgress | None = None, **options: Unpack[PlanOptions]
+    ) -> GoalState:
+        """Move a `group` to a goal while another goal moves other joints, and wait until all rest. Returns the last state of that goal.
+
+        ```python
+        robot.start(robot.plan(one, group="left"))
+        robot.execute_alongside(other, group="right")
+        ```
+
+        The motion is planned among what is left of the running goal, which stays as it is, and begins as soon as the two stay apart.
+        From then on they are one goal, with the id of the running one: pause, cancel, speed and guard hold both. If no goal
+        runs, or it is as good as done, this is `execute(plan(...))`. Raises what `plan` and `execute` raise; InvalidRequest if the
+        running goal moves a joint of the group.
+        """
+        from zarm.alongside import execute_alongside
+
+        return execute_alongside(self.planner, self.executor, plan_request(goal, **options), on_progress)
 
     def health(self, service: str, *, timeout: float = ANSWER_SECONDS) -> Health:
         """The health of a service: `planner`, `executor`, ..."""

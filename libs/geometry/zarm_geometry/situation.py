@@ -15,7 +15,7 @@ from zarm_geometry import rows
 from zarm_geometry.allowed_collisions import Bits, Pairs, checked
 from zarm_geometry.exact import kept_margin, obstacles, robot_parts, subjects
 from zarm_geometry.kernels.clearance_search import Obstacles
-from zarm_geometry.kernels.motion import MotionBody, Movers, Solids, motion_body, solids
+from zarm_geometry.kernels.motion import NO_MOVERS, MotionBody, Movers, Solids, motion_body, solids
 from zarm_geometry.kernels.situation import GRADIENT_THERE, KEPT_MARGIN, Owner, SituationArrays, contact, nearby
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
@@ -178,10 +178,10 @@ class MotionWorld:
 
 def _movers(shapes: Sequence[MovableShapes], state: Array, against: Bits) -> Movers:
     """Movers (n) with this `state` (n, 9), velocity, speed, time, offset and growth of a `MovingObject`, checked `against` these links."""
-    pose = np.concatenate([_NONE.solids.pose, *(each.solids.pose for each in shapes)])
-    extents = np.concatenate([_NONE.solids.extents, *(each.solids.extents for each in shapes)])
-    lower = np.concatenate([_NONE.lower, *(each.lower for each in shapes)])
-    upper = np.concatenate([_NONE.upper, *(each.upper for each in shapes)])
+    pose = np.concatenate([NO_MOVERS.solids.pose, *(each.solids.pose for each in shapes)])
+    extents = np.concatenate([NO_MOVERS.solids.extents, *(each.solids.extents for each in shapes)])
+    lower = np.concatenate([NO_MOVERS.lower, *(each.lower for each in shapes)])
+    upper = np.concatenate([NO_MOVERS.upper, *(each.upper for each in shapes)])
     offset, growth = state[:, 5:8], state[:, 8]
     pose[:, :, 3] += offset
     extents[:, 4] += growth  # the rounding
@@ -261,10 +261,3 @@ class Situation:
             return link, model.links[model.parts[-1 - other][0]]
         rows = len(self.arrays.checked)
         return link, self._world.name(other) if other < rows else self._movers[other - rows]
-
-
-_NONE = Movers(
-    solids(np.zeros((0, rows.WIDTH))),
-    *(np.zeros(shape) for shape in ((0, 3), 0, 0, (0, 3), (0, 3))),
-    checked=np.zeros(0, np.uint64),
-)

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from zarm.alongside import execute_alongside
 from zarm.executor import REST_SECONDS
 from zarm.robot import Robot
 from zarm_cli.client import AsJson, Connect, Name, connected, message
@@ -36,7 +37,7 @@ from zarm_cli.goals import (
     typed_goal,
 )
 from zarm_cli.output import SCENE_CHANGED, err, facts, held_by, out, print_json, reached, share_text
-from zarm_cli.planning import VelocityScale, read_plan, request_plan
+from zarm_cli.planning import VelocityScale, plan_request, read_plan, request_plan
 from zarm_contract.errors import InvalidRequest, ZarmError, from_problem
 from zarm_contract.messages import ExecuteRequest, ExecutorState, GoalState, PlannedSegment, Speed
 from zarm_runtime.session import DEFAULT_ENDPOINT
@@ -67,6 +68,9 @@ def execute(
         bool, typer.Option("--preempt", help="Cancel the active goal first, and start when the robot rests.")
     ] = False,
     replan: Annotated[bool, typer.Option("--replan", help="Replan during motion when an obstacle appears.")] = False,
+    alongside: Annotated[
+        bool, typer.Option("--alongside", help="Move the --group while the active goal moves other joints.")
+    ] = False,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
@@ -91,15 +95,23 @@ def execute(
     for given, hint in ((velocity_scale, "--velocity-scale"), (group, "--group")):
         if given is not None and goal is None:
             raise typer.BadParameter("belongs to --to or --joints", param_hint=hint)
+    if alongside and (goal is None or preempt or replan):
+        raise typer.BadParameter(
+            "belongs to --to or --joints, without --preempt and --replan", param_hint="--alongside"
+        )
     request = message(ExecuteRequest, plan_id=plan_id) if plan is None else _saved(plan)
     with connected(connect, name) as robot:
-        if goal is not None:
+        if goal is not None and not alongside:
             if preempt:
                 _bring_to_rest(robot)
             request = ExecuteRequest(
                 plan_id=request_plan(robot, goal, group=group, velocity_scale=velocity_scale).plan_id
             )
-        last = run_goal(robot, request, preempt=preempt, replan=replan)
+        if alongside and goal is not None:
+            asked = plan_request(robot, goal, group=group, velocity_scale=velocity_scale)
+            last = execute_alongside(robot.planner, robot.executor, asked)
+        else:
+            last = run_goal(robot, request, preempt=preempt, replan=replan)
     if as_json:
         print_json(last)
     demand_success(last)

@@ -148,13 +148,20 @@ def request_plan(
     start: list[float] | None = None,
     **asked: object,
 ) -> Plan:
-    """Request a plan of a `group`, or of the robot; `asked` are further fields of PlanRequest, without those that are None. Ctrl-C cancels the
-    planning too.
+    """Request a plan, see `plan_request`. Ctrl-C cancels the planning too. Raises the planner's error."""
+    return robot.request_plan(plan_request(robot, goal, group=group, start=start, **asked))
 
-    Raises the planner's error.
-    """
-    fields = goal_fields(robot, goal, start, group)
-    return robot.request_plan(message(PlanRequest, goal=fields, group=group, start=start, **asked))
+
+def plan_request(
+    robot: Robot,
+    goal: TypedGoal,
+    *,
+    group: str | None = None,
+    start: list[float] | None = None,
+    **asked: object,
+) -> PlanRequest:
+    """The request for a plan of a `group`, or of the robot; `asked` are further fields, without those that are None."""
+    return message(PlanRequest, goal=goal_fields(robot, goal, start, group), group=group, start=start, **asked)
 
 
 def plan_table(found: Plan) -> Table:

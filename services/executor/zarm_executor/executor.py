@@ -14,6 +14,7 @@ from zarm_contract.errors import Busy, InvalidRequest, Unavailable
 from zarm_contract.messages import (
     Accepted,
     CancelRequest,
+    Continuation,
     ExecuteRequest,
     ExecutorState,
     Nothing,
@@ -83,6 +84,8 @@ class Executor:
         """Check a motion and start it. One that preempts is fully checked, except for its start, before the current
         goal ends.
         """
+        if request.continues is not None:
+            return self._continue(request, request.continues)
         with self._admission.turn(arrival, preempt=request.preempt) as turn:
             chosen = self._plans.chosen(request)
             scene = self._present.demand(chosen.name, chosen.scene_revision)
@@ -116,6 +119,25 @@ class Executor:
         ).prepare()  # so that no tick has to compute them
         return Accepted(goal_id=goal_id)
 
+    def _continue(self, request: ExecuteRequest, where: Continuation) -> Accepted:
+        """Let a plan take over from a running goal. Raises what the checks of a motion and `Machine.replace` raise."""
+        chosen = self._plans.chosen(request)
+        if chosen.scene_revision is None or chosen.touches or chosen.acts:
+            raise InvalidRequest("only a motion that touches nothing can take over from a goal", field="continues")
+        self._present.demand(chosen.name, chosen.scene_revision)
+        trajectory = continuation(chosen.trajectory, self._robot, np.zeros(len(self._robot.descriptor.joints)))
+        with self._grippers.as_planned(chosen.name, chosen.openings):
+            goal = self._machine.replace(
+                where.goal_id, where.number, trajectory, chosen.scene_revision, where.at, chosen.openings
+            )
+        return self._shown(goal)
+
+    def _shown(self, goal: Goal) -> Accepted:
+        """Publish what is followed for a goal from now on."""
+        self._reporter.show(goal)
+        self._reporter.publish()
+        return Accepted(goal_id=goal.goal_id)
+
     def _stops(self, acts: Sequence[PlannedSegment]) -> Iterator[GripStop | OutputStop]:
         """Where a goal rests until a gripper has moved or an output is switched. Raises InvalidRequest for one that is not there."""
         for segment in acts:
@@ -141,9 +163,7 @@ class Executor:
         goal = self._machine.replace(
             request.goal_id, request.number, trajectory, revision, start, request.openings, request.until
         )
-        self._reporter.show(goal)
-        self._reporter.publish()
-        return Accepted(goal_id=request.goal_id)
+        return self._shown(goal)
 
     def _named(self, goal_id: str | None) -> str:
         running = self._reporter.publish().goal_id  # also records a goal that has just ended

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -77,6 +78,44 @@ def test_both_arms_move_at_once(robot: zarm.Robot) -> None:
     assert robot.tip("right").position == pytest.approx((0.4, -0.3, 0.3), abs=1e-3)
 
 
+def test_an_arm_joins_in_while_the_other_moves(robot: zarm.Robot) -> None:
+    states: list[np.ndarray] = []  # type: ignore[type-arg]
+    first = robot.plan(zarm.Pose((0.45, 0.45, 0.4), DOWN), group="left", velocity_scale=0.2)
+    goal_id = robot.start(first)
+    end = robot.connection.bus.subscribe(
+        robot.connection.keys.joint_states, lambda _, state: states.append(np.array(state.position))
+    )
+    last = robot.execute_alongside(zarm.Pose((0.45, -0.45, 0.4), DOWN), group="right")
+    end()
+    assert (last.goal_id, last.status) == (goal_id, "succeeded")
+    assert robot.tip("left").position == pytest.approx((0.45, 0.45, 0.4), abs=1e-3)
+    assert robot.tip("right").position == pytest.approx((0.45, -0.45, 0.4), abs=1e-3)
+    moves = [np.abs(after - before) > 1e-5 for before, after in itertools.pairwise(states)]
+    assert any(moved[LEFT].any() and moved[RIGHT].any() for moved in moves), "both move at once"
+
+
+def test_an_arm_that_joins_in_waits_for_the_other(robot: zarm.Robot) -> None:
+    robot.execute(robot.plan(zarm.Pose((0.5, -0.05, 0.35), DOWN), group="left"))
+    robot.start(robot.plan(HOME, group="left", velocity_scale=0.2))
+    last = robot.execute_alongside(zarm.Pose((0.5, -0.05, 0.35), DOWN), group="right")
+    assert last.status == "succeeded"
+    assert robot.tip("right").position == pytest.approx((0.5, -0.05, 0.35), abs=1e-3)
+    assert positions(robot)[LEFT] == pytest.approx(HOME, abs=1e-3)
+
+
+def test_without_a_goal_alongside_is_a_motion_of_its_own(robot: zarm.Robot) -> None:
+    last = robot.execute_alongside(zarm.Pose((0.45, -0.45, 0.4), DOWN), group="right")
+    assert last.status == "succeeded"
+    assert robot.tip("right").position == pytest.approx((0.45, -0.45, 0.4), abs=1e-3)
+
+
+def test_a_joint_of_the_running_goal_is_not_given_to_another(robot: zarm.Robot) -> None:
+    goal_id = robot.start(robot.plan(zarm.Pose((0.45, 0.45, 0.4), DOWN), group="left", velocity_scale=0.2))
+    with pytest.raises(InvalidRequest, match=r"left_panda_joint\d moves there already"):
+        robot.execute_alongside(zarm.Pose((0.4, 0.3, 0.4), DOWN), group="left")
+    assert robot.follow(goal_id).status == "succeeded"
+
+
 def test_one_arm_hands_a_bar_over_to_the_other(cell: Cell, robot: zarm.Robot) -> None:
     assert run_example("15_hand_over", cell.endpoint) == "left_panda_hand holds the bar\n"
     robot.scene.detach("bar")
@@ -121,6 +160,11 @@ def test_the_command_line_moves_groups(cell: Cell, robot: zarm.Robot) -> None:
     assert robot.tip("left").position == pytest.approx((0.45, 0.25, 0.3), abs=1e-3)
     done("execute", "--to", "left=0.4,0.3,0.4", "--to", "right=0.4,-0.3,0.4")
     assert robot.tip("right").position == pytest.approx((0.4, -0.3, 0.4), abs=1e-3)
+    robot.start(robot.plan(zarm.Pose((0.45, 0.45, 0.4), DOWN), group="left", velocity_scale=0.2))
+    done("execute", "--alongside", "--group", "right", "--to", "0.4,-0.4,0.5")
+    assert robot.tip("left").position == pytest.approx((0.45, 0.45, 0.4), abs=1e-3)
+    assert robot.tip("right").position == pytest.approx((0.4, -0.4, 0.5), abs=1e-3)
+    done("execute", "--group", "right", "--to", "0.4,-0.3,0.4")
     tip = json.loads(done("fk", "--group", "right", "--json"))["poses"][0]
     assert tip["position"] == pytest.approx((0.4, -0.3, 0.4), abs=1e-3)
 

@@ -10,6 +10,7 @@ from zarm_contract.messages.driver import DriverCommand, DriverFault, DriverProg
 from zarm_contract.messages.executor import (
     Accepted,
     CancelRequest,
+    Continuation,
     ExecuteRequest,
     ExecutorState,
     GoalState,
@@ -244,6 +245,7 @@ __all__ = [
     "CollisionDetectionState",
     "ColorHeader",
     "Contact",
+    "Continuation",
     "Conveyor",
     "Cuboid",
     "Cylinder",

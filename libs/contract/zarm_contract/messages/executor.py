@@ -18,6 +18,14 @@ SpeedScale = Annotated[float, Field(ge=0.05, le=1)]
 """The share of the planned speed at which the robot moves."""
 
 
+class Continuation(Message):
+    """The goal `goal_id` is followed along its trajectory of this `number`, see `GoalTrajectory`, up to the path time `at` (s)."""
+
+    goal_id: Name
+    number: SequenceNumber
+    at: NonNegative
+
+
 class ExecuteRequest(Message):
     """Start a goal: the plan `plan_id`, any `trajectory`, or with an empty request the last plan.
 
@@ -32,6 +40,10 @@ class ExecuteRequest(Message):
     With `replan` the servo plans again to the end of the trajectory if an object blocks it. The new trajectory
     replaces the old one while the robot moves; if there is no time for that, the robot stops first. A line, an arc, a path or a program
     is not replanned: the robot brakes on its way, and goes on along it once that is free.
+
+    With `continues` the plan takes over from a running goal, in motion: it begins exactly as that goes on at that time, because it was made
+    with the rest of that goal as its `PlanRequest.concurrent`. The goal keeps its id, and ends when all joints rest. The answer is `start_state_mismatch` if
+    the robot is already too far, and `stale_plan` if the goal follows another trajectory by now.
     """
 
     plan_id: Name | None = None
@@ -41,6 +53,14 @@ class ExecuteRequest(Message):
     goal_id: Name | None = None
     replan: bool = False
     openings: Openings = ()
+    continues: Continuation | None = None
+
+    @field_validator("continues")
+    @classmethod
+    def _of_a_plan(cls, continues: Continuation | None, info: ValidationInfo) -> Continuation | None:
+        if continues is not None and (info.data.get("plan_id") is None or info.data.get("goal_id") is not None):
+            raise ValueError("a plan takes over, by its plan_id, and the goal keeps its id: leave goal_id out")
+        return continues
 
     @field_validator("trajectory")
     @classmethod

@@ -77,6 +77,10 @@ class PlanRequest(Message):
     default the measured ones, where one moves that to which it moves, and open before any are measured. With a `group` of the
     descriptor only its joints move: a joint goal gives these alone, and poses are those of its tip. The others stand as at the start.
     A robot with several tips needs a group for poses.
+
+    `concurrent` is a motion that other joints make at the same time: a plan for another group, or what is left of a goal, see
+    `ExecuteRequest.continues`. The trajectory then has both, from the beginning of that motion on: those joints follow it, at its own speed, and the group
+    starts as soon as all stay apart, at the latest when they rest.
     """
 
     goal: Goal
@@ -96,6 +100,7 @@ class PlanRequest(Message):
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     publish: bool = True
     openings: Openings = ()
+    concurrent: Trajectory | None = None
 
     @field_validator("start_state")
     @classmethod

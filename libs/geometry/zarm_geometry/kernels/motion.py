@@ -99,6 +99,17 @@ def solids(rows: Array) -> Solids:
     return Solids(np.ascontiguousarray(pose), np.column_stack([rows[:, 12:], np.full(len(rows), -1.0)]))
 
 
+NO_MOVERS = Movers(
+    solids(np.zeros((0, 17))),
+    np.zeros((0, 3)),
+    np.zeros(0),
+    np.zeros(0),
+    np.zeros((0, 3)),
+    np.zeros((0, 3)),
+    np.zeros(0, np.uint64),
+)
+
+
 def motion_body(parts: RobotParts, asked: NDArray[np.bool_], kept_margin: Array) -> MotionBody:
     """Pack a robot for `first_contact`."""
     count = len(parts.offset)

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.exact import RESOLUTION, ExactScene
-from zarm_geometry.kernels.motion import Movers, motion, solids
+from zarm_geometry.kernels.motion import NO_MOVERS, motion
 from zarm_geometry.kernels.nearby import GRADIENT
-from zarm_geometry.rows import WIDTH
 from zarm_geometry.working_memory import working_memory
 from zarm_planner.context import PlanningContext
 from zarm_planner.kernels import contact
@@ -86,14 +85,7 @@ def _surroundings(scene: ExactScene) -> contact.Surroundings:
         world,
         standing,
         world.checked,
-        _STILL,
+        NO_MOVERS,
         motion(body, np.array((0.0, 1.0)), np.zeros((2, dof)), np.zeros(dof)),
         np.empty((_MOST_NEAR, GRADIENT + dof)),
     )
-
-
-_STILL = Movers(
-    solids(np.zeros((0, WIDTH))),
-    *(np.zeros(shape) for shape in ((0, 3), 0, 0, (0, 3), (0, 3))),
-    checked=np.zeros(0, np.uint64),
-)

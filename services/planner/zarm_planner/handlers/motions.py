@@ -22,6 +22,7 @@ from zarm_geometry.exact import RESOLUTION
 from zarm_geometry.frames import pose_of
 from zarm_geometry.gripper_openings import openings_message
 from zarm_geometry.robot_model import Openings, RobotModel
+from zarm_planner.concurrent import ConcurrentMotion
 from zarm_planner.constraints.path_constraint import constrains
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
@@ -54,6 +55,13 @@ class MotionHandlers:
             return self._with_ways(request)
         openings = self._state.grippers.chosen(request.openings)
         group = Group.of(model.robot, request.group, request.goal)
+        others = None
+        if request.concurrent is not None:
+            if request.start_state is not None:
+                raise InvalidRequest(
+                    "the group starts at rest beside another motion; leave this out", field="start_state"
+                )
+            others = ConcurrentMotion.of(model.robot, request.concurrent, group)
 
         def work(deadline: Deadline) -> tuple[PlanningScene, Verified, PlanTimings]:
             limits = self._state.limits(
@@ -66,6 +74,8 @@ class MotionHandlers:
                 start, motion = state[0], state[1:]
             else:
                 start = within_range(model, self._state.measured() if request.start is None else request.start, "start")
+            if others is not None:
+                start = others.at(start)
             given = request.self_margin
             self_margin = model.robot.descriptor.self_margin if given is None else given
             context = PlanningContext(
@@ -83,6 +93,9 @@ class MotionHandlers:
             turns = whole_turns(start, model.continuous)
             if group is None:
                 verified = plan(planner, context, start - turns, request.goal, motion)
+            elif others is not None:
+                full = self._state.limits(1.0, 1.0)
+                verified = others.shifted(-turns).plan(group, planner, context, start - turns, request.goal, full)
             else:
                 verified = group.plan(planner, context, start - turns, request.goal, motion)
             return context.scene, verified.shifted(turns), context.timer.timings()
@@ -132,8 +145,12 @@ class MotionHandlers:
 
     def _with_ways(self, request: PlanRequest) -> Plan:
         """A goal with an approach or a retreat is a program of several motions."""
-        if request.start_state is not None or constrains(request.path_constraint):
-            field = "start_state" if request.start_state is not None else "path_constraint"
+        refused = {
+            "start_state": request.start_state is not None,
+            "path_constraint": constrains(request.path_constraint),
+            "concurrent": request.concurrent is not None,
+        }
+        for field in (field for field, given in refused.items() if given):
             raise InvalidRequest("not with an approach or a retreat; leave one of them out", field=field)
         common = ProgramRequest.model_fields.keys() & PlanRequest.model_fields.keys()
         fields: dict[str, Any] = {name: getattr(request, name) for name in common}
