@@ -299,9 +299,7 @@ def test_a_joint_state_with_a_joint_missing_is_refused_by_field(field: str) -> N
 
 
 def test_an_execute_request_has_one_source_of_its_motion() -> None:
-    by_plan, by_trajectory, going_on = (
-        json.loads(encode(example)) for example in by_class()[messages.ExecuteRequest]
-    )
+    by_plan, by_trajectory, going_on = (json.loads(encode(example)) for example in by_class()[messages.ExecuteRequest])
     both = json.dumps(by_trajectory | by_plan).encode()
     assert refused_field(messages.ExecuteRequest, both) == "trajectory"
     revised_plan = json.dumps(by_plan | {"scene_revision": "3-5be0c1d2f3a4"}).encode()

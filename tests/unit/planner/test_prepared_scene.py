@@ -108,12 +108,12 @@ def test_what_is_put_down_is_ready_too(planner: Handlers, made: list[int]) -> No
 
 def test_of_a_scene_only_what_changed_is_built_anew(planner: Handlers, split: list[int]) -> None:
     planner.edit(SceneEdit(edit=EDITS["add"]))
-    assert split == [2]  # the two boxes, not the cloud
+    assert split == [2, 2]  # the two boxes, and the two trees over all, not the cloud
     planner.scenes.moved.receive(
         "zarm/small_arm/scene/object/box/pose", ObjectPose(stamp=1.0, position=(0.5, 0.0, 0.5), speed=0.0)
     )
     nearest(planner)
-    assert split == [2, 2]
+    assert split == [2, 2, 2, 2]
 
 
 def test_a_moved_object_is_where_it_was_told_to_be_after_another_edit_too(planner: Handlers, made: list[int]) -> None:
