@@ -186,7 +186,10 @@ def main() -> None:
                 goal = rng.uniform(np.maximum(MODEL.lower, -2.0), np.minimum(MODEL.upper, 2.0))
                 if truth.nearest(goal[None]).distance < 0.01:
                     continue
-                (through, quick), (among, took) = planned(seeing, goal), planned(knowing, goal)
+                for _ in range(
+                    2
+                ):  # whoever plans to a goal first fills the caches for the other, so the second time counts
+                    (through, quick), (among, took) = planned(seeing, goal), planned(knowing, goal)
                 solved[0] += through is not None
                 solved[1] += among is not None
                 if among is not None:
