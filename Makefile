@@ -13,7 +13,7 @@ REQUIREMENTS := deploy/requirements
 # With this set, each of the many test processes would compile all of zarm's Python files again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all test-deploy ros lint docs bench requirements licences audit clean
+.PHONY: demo test test-rest test-all test-deploy ros lint docs bench requirements licences audit clean
 
 demo: $(VENV)/.kernels
 	@$(BIN)/zarm demo
@@ -26,14 +26,19 @@ define run_tests
 	echo "== what failed, $$time more"; $(PYTEST) $(1) $(if $(2),--numprocesses=1) --last-failed && exit 0; done; exit 1; }
 endef
 
-# Every promise once. Tests mostly wait for robots, so two cores can run four at a time, and timed tests two. Without the ROS bridge its
-# tests are skipped, and say so.
+# Each part once, in minutes. Tests mostly wait for robots, so two cores can run four at a time, and timed tests two. Without the ROS
+# bridge its tests are skipped, and say so.
 test: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
-	$(call run_tests,-m "not slow and not timed",--numprocesses=4)
+	$(call run_tests,-m "fast or essential",--numprocesses=4)
+
+# Every other promise once: CI runs both.
+test-rest: $(VENV)/.dev $(VENV)/.kernels
+	@$(MAKE) --no-print-directory ros || true
+	$(call run_tests,-m "not (fast or essential or slow or timed)",--numprocesses=4)
 	$(call run_tests,-m "timed and not slow",--numprocesses=2)
 
-# Every test, also the slow ones that `make test` skips, with more examples of each property.
+# Every test, also the slow ones that these skip, with more examples of each property.
 test-all: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
 	$(call run_tests,--hypothesis-profile=full -m "not timed",--numprocesses=4)

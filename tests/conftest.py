@@ -10,12 +10,16 @@ from hypothesis import settings
 from support.executor.client import Client
 from support.harness import ServiceProcess, router
 from support.pendulum import write_pendulum
+from support.tiers import ESSENTIAL
 from support.trajectories import KEYS
 from zarm_runtime.bus import Bus
 
 TESTS = Path(__file__).parent
 IN_PROCESS = TESTS / "unit"
 NOT_FAST = frozenset(("slow", "lengthy"))
+NOT_ESSENTIAL = frozenset(("slow", "timed"))
+ESSENTIAL_PATHS = tuple(TESTS / name for name in ESSENTIAL)
+QUICK = "fast or essential"
 SHARED = frozenset(("shared", "up"))
 """What the fixtures of a package that start something are called."""
 
@@ -25,11 +29,17 @@ settings.load_profile("quick")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Imports no module that has none of the tests asked for: `fast` ones lie in one folder, and a module names `timed` where it has some."""
+    """Imports no module that has none of the tests asked for: `fast` ones lie in one folder, `essential` ones in a few, and a module names
+    `timed` where it has some.
+    """
     asked, *_ = config.option.markexpr.split() or ("",)
-    if config.option.markexpr == "fast":
-        on_the_way = IN_PROCESS.is_relative_to(collection_path) or collection_path.is_relative_to(IN_PROCESS)
-        return None if on_the_way else True
+    if config.option.markexpr in ("fast", QUICK):
+        folders = (IN_PROCESS,) if config.option.markexpr == "fast" else (IN_PROCESS, *ESSENTIAL_PATHS)
+        on_the_way = any(
+            path.is_relative_to(collection_path) or collection_path.is_relative_to(path) for path in folders
+        )
+        shares = collection_path.name in ("__init__.py", "conftest.py")
+        return None if on_the_way or shares else True
     if asked == "timed" and collection_path.name.startswith("test_"):
         return None if "pytest.mark.timed" in collection_path.read_text() else True
     return None
@@ -37,8 +47,9 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.hookimpl(tryfirst=True)  # xdist reads the groups when its turn comes
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What runs in the process of the tests is fast, but for what is marked slow or lengthy. Each module runs in one process, and so do all
-    tests that share what the fixtures of a package start: it starts once."""
+    """What runs in the process of the tests is fast, but for what is marked slow or lengthy, and what lies in ESSENTIAL is essential, but for
+    what is marked slow or timed. Each module runs in one process, and so do all tests that share what the fixtures of a package start: it starts once.
+    """
     for item in items:
         shares = item.path.with_name("__init__.py").exists() and not SHARED.isdisjoint(
             getattr(item, "fixturenames", ())
@@ -47,6 +58,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         item.add_marker(pytest.mark.xdist_group(str(group.relative_to(TESTS))))
         if item.path.is_relative_to(IN_PROCESS) and NOT_FAST.isdisjoint(mark.name for mark in item.iter_markers()):
             item.add_marker("fast")
+        if NOT_ESSENTIAL.isdisjoint(mark.name for mark in item.iter_markers()) and any(
+            item.path.is_relative_to(path) for path in ESSENTIAL_PATHS
+        ):
+            item.add_marker("essential")
 
 
 @pytest.hookimpl(wrapper=True)
