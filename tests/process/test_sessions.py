@@ -30,13 +30,17 @@ from support.trajectories import HOME, KEYS, ROBOT
 from zarm.servoing import PERIOD, Jogging
 from zarm_contract.errors import Busy, DeadlineExceeded, Unavailable, from_problem
 from zarm_contract.messages import (
+    AddObjects,
     ChunkAccepted,
     Cuboid,
+    EditBatch,
     JointPoints,
+    SceneEdit,
     SceneObject,
     ServoChunk,
     ServoSession,
     ServoStart,
+    SetPairCollision,
     Sphere,
     StreamChunk,
 )
@@ -157,6 +161,23 @@ def test_what_is_put_in_the_way_while_the_robot_is_led_is_kept_away_from(cell: C
         slowed = cell.repeat(jogging, "slowing", linear=(0.0, 0.2, 0.0))
         assert slowed.object == "ball"
     cell.assert_sound(ball)
+
+
+def test_a_link_that_may_touch_an_object_is_held_by_neither_servo_nor_guard(cell: Cell) -> None:
+    x, y, z = (TIP + 0.03 * MODEL.fk_tip(HOME)[:3, 2]).tolist()
+    ball = Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.03)
+    pair = SetPairCollision(op="pairs", names=(("link_6", "ball"),), enabled=False)
+    load(cell.bus, ball)
+    with cell.robot.jog() as jogging:
+        assert cell.repeat(jogging, "blocked", linear=(0.0, 0.0, -0.1)).object == "ball"
+        cell.robot.scene.apply(SceneEdit(edit=pair))
+        cell.repeat(jogging, "free", linear=(0.05, 0.0, 0.0))
+    load(cell.bus)
+    goal_id = cell.robot.start(cell.robot.plan(HOME + (0.0, 0.0, 0.0, 0.0, 0.0, 1.0), velocity_scale=0.2))
+    cell.robot.scene.apply(SceneEdit(edit=EditBatch(op="batch", edits=(AddObjects(op="add", objects=(ball,)), pair))))
+    states = list(cell.robot.executor.goal_states(goal_id))
+    assert states[-1].status == "succeeded"
+    assert not any(state.hold for state in states)
 
 
 @pytest.mark.slow  # as in unit/servo/test_controller.py
