@@ -262,3 +262,16 @@ def print_edited(edited: SceneEdited, as_json: bool) -> None:
         out.print(f"the scene holds {counted(edited.count, 'object')} (revision {edited.revision})")
         for note in edited.notes:
             out.print(note)
+
+
+@app.command()
+def pair(
+    one: Annotated[str, typer.Argument(metavar="LINK", help="A link, or an attached object.")],
+    other: Annotated[str, typer.Argument(metavar="OBJECT", help="An object, or another of the former.")],
+    enabled: Annotated[bool, typer.Option("--on/--off", help="Check the collisions of this pair, or ignore them.")],
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """Ignore collisions of a link with an object, or check them again: `zarm scene pair link_6 bin --off`."""
+    _edit(connect, name, as_json, op="pairs", names=[(one, other)], enabled=enabled)

@@ -124,6 +124,16 @@ def test_links_are_switched_off_and_on(up: Up, empty_scene: None) -> None:
     assert data(up, "scene", "list")["ignored_links"] == []
 
 
+def test_a_pair_may_touch_and_is_checked_again(up: Up, empty_scene: None) -> None:
+    done(up, "scene", "add", "sphere", "ball", "--at", "0.9,0,0.2", "--radius", "0.05")
+    done(up, "scene", "pair", "link_6", "ball", "--off")
+    assert data(up, "scene", "list")["ignored_pairs"] == [["ball", "link_6"]]
+    assert "pairs whose collisions are ignored: ball with link_6" in done(up, "scene", "list")
+    assert "nobody is neither a link" in refused(up, "scene", "pair", "link_6", "nobody", "--off")
+    done(up, "scene", "pair", "ball", "link_6", "--on")
+    assert data(up, "scene", "list")["ignored_pairs"] == []
+
+
 # -- kinematics --
 
 
