@@ -9,7 +9,6 @@ from typing import Annotated
 
 import typer
 
-from zarm.alongside import execute_alongside
 from zarm.executor import REST_SECONDS
 from zarm.robot import Robot
 from zarm_cli.client import AsJson, Connect, Name, connected, message
@@ -108,6 +107,8 @@ def execute(
                 plan_id=request_plan(robot, goal, group=group, velocity_scale=velocity_scale).plan_id
             )
         if alongside and goal is not None:
+            from zarm.alongside import execute_alongside  # takes long, and a stop does not need it
+
             asked = plan_request(robot, goal, group=group, velocity_scale=velocity_scale)
             last = execute_alongside(robot.planner, robot.executor, asked)
         else:
