@@ -128,7 +128,13 @@ class Executor:
         trajectory = continuation(chosen.trajectory, self._robot, np.zeros(len(self._robot.descriptor.joints)))
         with self._grippers.as_planned(chosen.name, chosen.openings):
             goal = self._machine.replace(
-                where.goal_id, where.number, trajectory, chosen.scene_revision, where.at, chosen.openings
+                where.goal_id,
+                where.number,
+                trajectory,
+                chosen.scene_revision,
+                where.at,
+                chosen.openings,
+                joined=True,
             )
         return self._shown(goal)
 

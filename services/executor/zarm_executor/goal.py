@@ -78,9 +78,11 @@ class Goal:
         verified: SceneRevision,
         openings: Openings,
         monitor: Monitor | None = None,
+        *,
+        joined: bool = False,
     ) -> Goal:
         """The goal that continues along `trajectory`, which was verified in that scene with these openings, watched by `monitor`
-        or as before.
+        or as before. If a motion of other joints has `joined`, it is more than a pose of one tip.
         """
         monitor = monitor or self.monitor
         monitor.steer(trajectory)
@@ -91,6 +93,7 @@ class Goal:
             verified=verified,
             openings=openings,
             monitor=monitor,
+            tip=None if joined else self.tip,
             number=self.number + 1,
         )
 

@@ -149,9 +149,11 @@ class GoalExecution:
         verified: SceneRevision,
         openings: Openings,
         until: float | None = None,
+        *,
+        joined: bool = False,
     ) -> None:
         """Continue along `trajectory`, verified in that scene with these openings of grippers, from the path time `at` (s) on; this
-        releases a held goal.
+        releases a held goal. `joined` as in `Goal.replaced`.
 
         The robot may go up to the time `until` (s) of `trajectory`, or to its end if None.
 
@@ -167,9 +169,9 @@ class GoalExecution:
                 "later state",
                 code="start_state_mismatch",
             )
-        joined = continued(self.goal.trajectory, strategy.commanded(), trajectory, at)
-        self.goal = self.goal.replaced(joined, verified, openings)
-        strategy.steer(joined)
+        whole = continued(self.goal.trajectory, strategy.commanded(), trajectory, at)
+        self.goal = self.goal.replaced(whole, verified, openings, joined=joined)
+        strategy.steer(whole)
         self._go_on(at, until)
 
     def replace_at_rest(

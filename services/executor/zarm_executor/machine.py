@@ -178,12 +178,14 @@ class Machine:
         start: float | Monitor,
         openings: Openings,
         until: float | None = None,
+        *,
+        joined: bool = False,
     ) -> Goal:
         """Continue the goal along `trajectory`, verified in `scene` with these openings of grippers, instead of its trajectory `number`; returns the
         goal.
 
         It continues from the path time `start` (s), or, if `start` is a Monitor, from rest and watched by it. It may go
-        up to the time `until` (s) of `trajectory`, or to its end if None, until the servo states its authority. Raises
+        up to the time `until` (s) of `trajectory`, or to its end if None, until the servo states its authority. `joined` as in `Goal.replaced`. Raises
         ExecutionRefused (`stale_plan`) if the goal follows another trajectory, and what `GoalExecution.replace` and
         `replace_at_rest` raise.
         """
@@ -199,7 +201,7 @@ class Machine:
             if isinstance(start, Monitor):
                 motion.replace_at_rest(trajectory, start, scene, openings, until)
             else:
-                motion.replace(trajectory, start, scene, openings, until)
+                motion.replace(trajectory, start, scene, openings, until, joined=joined)
             return motion.goal
 
     def receive(self, authority: Authority, now: float) -> None:

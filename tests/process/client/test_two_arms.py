@@ -17,6 +17,7 @@ from support.example_programs import run_example
 from support.harness import ServiceProcess, eventually, router
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
+from zarm_contract.messages import Continuation, ExecuteRequest
 from zarm_runtime.bus import Bus
 
 DOWN = (1.0, 0.0, 0.0, 0.0)
@@ -114,6 +115,21 @@ def test_a_joint_of_the_running_goal_is_not_given_to_another(robot: zarm.Robot) 
     with pytest.raises(InvalidRequest, match=r"left_panda_joint\d moves there already"):
         robot.execute_alongside(zarm.Pose((0.4, 0.3, 0.4), DOWN), group="left")
     assert robot.follow(goal_id).status == "succeeded"
+
+
+def test_a_plan_that_does_not_go_on_where_the_goal_is_is_refused(robot: zarm.Robot) -> None:
+    other = robot.plan(zarm.Pose((0.45, -0.45, 0.4), DOWN), group="right")
+    goal_id = robot.start(robot.plan(zarm.Pose((0.45, 0.45, 0.4), DOWN), group="left", velocity_scale=0.2))
+    for number, at, says in (
+        (7, 0.8, "trajectory 7 of .* is not active"),
+        (1, 0.8, "does not begin where the one before is"),
+        (1, 0.0, "committed until"),
+    ):
+        where = Continuation(goal_id=goal_id, number=number, at=at)
+        with pytest.raises(zarm.Error, match=says):
+            robot.connection.ask(robot.connection.keys.execute, ExecuteRequest(plan_id=other.plan_id, continues=where))
+    assert robot.follow(goal_id).status == "succeeded"
+    assert positions(robot)[RIGHT] == pytest.approx(HOME, abs=1e-3)
 
 
 def test_one_arm_hands_a_bar_over_to_the_other(cell: Cell, robot: zarm.Robot) -> None:
