@@ -12,6 +12,8 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 _LEADS = (0.4, 0.8, 1.6)
 """s from the moment of asking until the new motion takes over, one after the other: planning may take as long."""
+_END = 2.0
+"""s that a goal may need to come to rest at its end."""
 _LATE = ("start_state_mismatch", "stale_plan")
 """What the executor says of a plan that comes too late, or for a goal that has been replanned."""
 
@@ -30,8 +32,8 @@ def execute_alongside(
         now = connection.read(keys.goal(goal_id))
         at = now.progress * now.duration + lead
         rest = _rest(followed, at) if followed.goal_id == goal_id else None
-        if rest is None:  # it is as good as done
-            executor.follow(goal_id)
+        if rest is None:  # it is as good as done, unless it is a stream
+            executor.follow(goal_id, timeout=lead + _END)
             break
         beside = {"start": tuple(rest.start.tolist()), "concurrent": rest.message(followed.trajectory.joint_names)}
         plan = planner.request_plan(request.model_copy(update=beside))

@@ -53,41 +53,38 @@ class BoxTree(NamedTuple):
 
 def joined(trees: Sequence[BoxTree], margin: float) -> WorldArrays:
     """One tree over all trees, for kernels: their shapes one after the other, with `margin` (m) around them."""
-    first_shape = np.cumsum([0, *(len(tree.rows) for tree in trees)])[:-1]
     counts = np.array([len(tree.skip) for tree in trees])
-    first_node = np.cumsum(counts) - counts
+    shape_counts = np.array([len(tree.rows) for tree in trees])
+    first_node, first_shape = np.cumsum(counts) - counts, np.cumsum(shape_counts) - shape_counts
     boxes = np.concatenate([tree.boxes for tree in trees])
-    grown = np.flatnonzero(counts)
-    lower = np.minimum.reduceat(boxes[:, :3] - boxes[:, 3:], first_node[grown])
-    upper = np.maximum.reduceat(boxes[:, :3] + boxes[:, 3:], first_node[grown])
-    over = BoxTree.over(rows.boxes(lower, upper))
-    # The nodes of a tree are below a node of `over`, or in its place if there is a single root, or no other tree.
-    bottom = over.leaf >= 0
-    below = grown[over.order[over.leaf[bottom]]]
-    own = ~bottom
-    own[bottom] = [len(grown) > 1 and trees[index].skip[0] != counts[index] for index in below]
-    sizes = own.astype(np.intp)
-    sizes[bottom] += counts[below]
-    place = np.concatenate([[0], np.cumsum(sizes)])
-    begin = np.zeros(len(trees), np.intp)
-    begin[below] = place[1:][bottom] - counts[below]
-    of = np.repeat(np.arange(len(trees)), counts)
-    there, at = place[:-1][own], np.arange(len(of)) + (begin - first_node)[of]
-    leaves = np.concatenate([tree.leaf for tree in trees])
+    filled = np.flatnonzero(counts)
+    lower = np.minimum.reduceat(boxes[:, :3] - boxes[:, 3:], first_node[filled])
+    upper = np.maximum.reduceat(boxes[:, :3] + boxes[:, 3:], first_node[filled])
+    top = BoxTree.over(rows.boxes(lower, upper))
+    # The nodes of a tree come after its leaf in `top`, or in the place of that if they have one root, or there is no other tree.
+    is_leaf = top.leaf >= 0
+    tree_of_leaf = filled[top.order[top.leaf[is_leaf]]]
+    kept = ~is_leaf
+    kept[is_leaf] = [len(filled) > 1 and trees[index].skip[0] != counts[index] for index in tree_of_leaf]
+    sizes = kept.astype(np.intp)
+    sizes[is_leaf] += counts[tree_of_leaf]
+    new_place = np.concatenate([[0], np.cumsum(sizes)])
+    new_first = np.zeros(len(trees), np.intp)
+    new_first[tree_of_leaf] = new_place[1:][is_leaf] - counts[tree_of_leaf]
+    owner = np.repeat(np.arange(len(trees)), counts)
+    of_top, of_trees = new_place[:-1][kept], np.arange(len(owner)) + (new_first - first_node)[owner]
+    skip, leaf = np.concatenate([tree.skip for tree in trees]), np.concatenate([tree.leaf for tree in trees])
     arrays = WorldArrays(
         np.concatenate([tree.rows for tree in trees], dtype=np.float32, casting="same_kind"),
-        np.empty((place[-1], 6), np.float32),
-        np.empty(place[-1], np.int32),
-        np.empty(place[-1], np.int32),
-        np.full(sum(len(tree.rows) for tree in trees), EVERY_LINK),
+        np.empty((new_place[-1], 6), np.float32),
+        np.empty(new_place[-1], np.int32),
+        np.empty(new_place[-1], np.int32),
+        np.full(shape_counts.sum(), EVERY_LINK),
         margin,
     )
-    arrays.boxes[there], arrays.boxes[at] = over.boxes[own], boxes
-    arrays.skip[there], arrays.skip[at] = (
-        place[over.skip[own]],
-        np.concatenate([tree.skip for tree in trees]) + begin[of],
-    )
-    arrays.leaf[there], arrays.leaf[at] = -1, np.where(leaves < 0, leaves, leaves + first_shape[of])
+    arrays.boxes[of_top], arrays.boxes[of_trees] = top.boxes[kept], boxes
+    arrays.skip[of_top], arrays.skip[of_trees] = new_place[top.skip[kept]], skip + new_first[owner]
+    arrays.leaf[of_top], arrays.leaf[of_trees] = -1, np.where(leaf < 0, leaf, leaf + first_shape[owner])
     return arrays
 
 

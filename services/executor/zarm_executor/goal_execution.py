@@ -157,10 +157,12 @@ class GoalExecution:
 
         The robot may go up to the time `until` (s) of `trajectory`, or to its end if None.
 
-        Raises Busy if the goal is pausing or ending, Unavailable if the strategy cannot follow it, ExecutionRefused
+        Raises Busy if the goal is pausing or ending, or a stream, Unavailable if the strategy cannot follow it, ExecutionRefused
         (`start_state_mismatch`) if it is too late for `at`, and what `continued` raises.
         """
         self._demand_no_end()
+        if self.goal.chunk is not None:
+            raise Busy(f"{self.goal.goal_id} is led chunk by chunk, so nothing can take over from it; let it end first")
         strategy = self._steerable()
         earliest = strategy.braking_from().time
         if at < earliest:

@@ -132,6 +132,14 @@ def test_a_plan_that_does_not_go_on_where_the_goal_is_is_refused(robot: zarm.Rob
     assert positions(robot)[RIGHT] == pytest.approx(HOME, abs=1e-3)
 
 
+def test_nothing_joins_a_session_of_the_servo(robot: zarm.Robot) -> None:
+    with robot.track() as tracking:
+        tracking.to(zarm.Pose((0.4, 0.3, 0.4), DOWN), group="left")
+        eventually(lambda: robot.state().goal_id is not None, "the session leads the robot")
+        with pytest.raises(zarm.Error, match="has not ended the goal"):
+            robot.execute_alongside(zarm.Pose((0.45, -0.45, 0.4), DOWN), group="right")
+
+
 def test_one_arm_hands_a_bar_over_to_the_other(cell: Cell, robot: zarm.Robot) -> None:
     assert run_example("15_hand_over", cell.endpoint) == "left_panda_hand holds the bar\n"
     robot.scene.detach("bar")
