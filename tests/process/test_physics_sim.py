@@ -80,6 +80,7 @@ def test_what_is_planned_is_driven_by_every_strategy(strategy: str, tmp_path: Pa
         assert truth.position == pytest.approx(goal, abs=0.01)
         assert not [contact for state in cell.truth for contact in state.contacts], "it went round the post"
         assert max(map(abs, truth.effort)) > 10.0, "the drives hold it up"
+        assert max(map(abs, cell.robot.joint_state().effort or ())) > 10.0, "and say so"
 
 
 def test_a_cube_is_gripped_carried_and_put_down_by_friction_alone(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from support.examples import examples
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import JointState
 from zarm_ros_bridge.convert.driver_joints import DriverJointStates
-from zarm_ros_bridge.convert.joints import driver_joint_state
+from zarm_ros_bridge.convert.joints import driver_joint_state, ros_joint_state
 
 JOINTS = ("joint_1", "joint_2", "joint_3")
 
@@ -77,6 +77,12 @@ def test_efforts_are_passed_on_where_every_joint_has_one() -> None:
             assert dict(zip(state.joint_names, state.effort or (), strict=False)) == (
                 {} if expected is None else dict(zip(JOINTS, expected, strict=True))
             )
+
+
+def test_efforts_of_the_robot_are_in_its_joint_states_on_ros() -> None:
+    rows = {"joint_names": JOINTS, "position": (0.1,) * 3, "velocity": (0.0,) * 3}
+    assert list(ros_joint_state(JointState(stamp=1.0, effort=(5.0, 6.0, 7.0), **rows)).effort) == [5.0, 6.0, 7.0]
+    assert list(ros_joint_state(JointState(stamp=1.0, **rows)).effort) == []
 
 
 def test_after_a_number_that_is_none_the_next_message_is_read() -> None:

@@ -92,6 +92,7 @@ class Control:
                     joint_names=self._joints,
                     position=tuple(measured.position.tolist()),
                     velocity=tuple(measured.velocity.tolist()),
+                    effort=None if measured.effort is None else tuple(measured.effort.tolist()),
                 )
             )
 

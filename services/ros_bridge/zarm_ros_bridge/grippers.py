@@ -24,7 +24,7 @@ class Grippers:
         return self._positions
 
     def beside(self, state: JointState) -> JointState:
-        """Joints with those of the grippers."""
+        """Joints with those of the grippers, whose efforts are not measured: 0."""
         fingers = {name: at for name, at in self._positions.items() if name not in state.joint_names}
         if not fingers:
             return state
@@ -33,6 +33,7 @@ class Grippers:
             joint_names=(*state.joint_names, *fingers),
             position=(*state.position, *fingers.values()),
             velocity=(*state.velocity, *(0.0 for _ in fingers)),
+            effort=None if state.effort is None else (*state.effort, *(0.0 for _ in fingers)),
         )
 
     def _receive(self, _: str, state: GripperState) -> None:

@@ -15,13 +15,14 @@ from zarm_trajectory.trajectory import TimedTrajectory
 class Measured:
     """Joint positions (J,) rad and velocities (J,) rad/s, measured at `time` on the monotonic clock.
 
-    `stamp` is the time of day (Unix s) by the driver's own clock; None if the joints did not come from a driver.
+    `effort` (J,) in Nm is None where it is not measured. `stamp` is the time of day (Unix s) by the driver's own clock; None if the joints did not come from a driver.
     """
 
     position: Array
     velocity: Array
     time: float
     stamp: float | None = None
+    effort: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -128,7 +128,8 @@ class DriverLink:
             if self._measured is not None:
                 self._turns = whole_turns(self._measured.position - position, self._continuous)
                 position = position + self._turns
-            self._measured = Measured(position, velocity, at, state.stamp)
+            effort = None if state.effort is None else np.array(state.effort)[order]
+            self._measured = Measured(position, velocity, at, state.stamp, effort)
             if self._stood is None or np.any(np.abs(self._measured.position - self._stood.position) > _STILL):
                 self._stood = self._measured
         return self._measured

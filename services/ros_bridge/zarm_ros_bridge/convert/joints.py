@@ -24,6 +24,7 @@ Positions = tuple[float, ...]
 def ros_joint_state(state: JointState) -> RosJointState:
     """Measured or previewed joints."""
     message = ros_positions(state.joint_names, state.position, state.velocity)
+    message.effort = array("d", state.effort or ())
     message.header.stamp = ros_time(state.stamp)
     return message
 
