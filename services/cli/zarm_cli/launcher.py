@@ -306,6 +306,8 @@ def up(
             "one joins a router, the other runs one (ZARM_CONNECT and ZARM_LISTEN count)",
             param_hint="--connect / --listen",
         )
+    if _typed(context, "group") and not moveit:
+        raise typer.BadParameter("this is for clients of MoveIt; add --moveit", param_hint="--group")
     with (
         suppress(KeyboardInterrupt),  # the usual end
         launch(

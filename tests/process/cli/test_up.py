@@ -39,11 +39,14 @@ def test_settings_of_physics_without_physics_are_refused() -> None:
     assert "--driver physics" in the_one_line(refused.stderr)
 
 
-@pytest.mark.parametrize("option", ["--map-box", "--map-resolution"])
-def test_settings_of_the_map_without_one_are_refused(option: str) -> None:
+@pytest.mark.parametrize(
+    ("option", "remedy"),
+    [("--map-box", "add --perception"), ("--map-resolution", "add --perception"), ("--group", "add --moveit")],
+)
+def test_settings_of_what_is_not_started_are_refused(option: str, remedy: str) -> None:
     refused = zarm("up", option, "0.01")
     assert refused.returncode == 2
-    assert "add --perception" in the_one_line(refused.stderr)
+    assert remedy in the_one_line(refused.stderr)
 
 
 def test_a_second_up_for_the_same_robot_is_refused_with_a_sentence(up: Up) -> None:
