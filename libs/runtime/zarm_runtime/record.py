@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import functools
 import json
+import os
 import struct
+import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
@@ -39,6 +41,13 @@ DRAFT = ".part"
 
 _DAMAGED = (McapError, ZstdError, ValueError, LookupError, OverflowError, MemoryError, struct.error)
 """Errors that the libraries raise for a truncated or modified file; lengths in it may have any value."""
+
+_FOOTER_HEAD = 9
+"""Bytes of the opcode and the length of the footer of an MCAP file,"""
+_AFTER_SUMMARY = 12
+"""of its checksum and the magic number after it,"""
+_FOOTER_END = _FOOTER_HEAD + 16 + _AFTER_SUMMARY
+"""and from the beginning of the footer to the end of the file."""
 
 
 class RecordFile:
@@ -114,6 +123,7 @@ def read_record(path: Path) -> Iterator[Entry]:
     """The messages of a record in the order of their `log_time`. Raises InvalidRequest if it cannot be read."""
     try:
         with path.open("rb") as stream:
+            _check_summary(stream)
             for described, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
                 if described is not None and (other := other_contract(described.name)):
                     raise InvalidRequest(
@@ -130,6 +140,22 @@ def read_record(path: Path) -> Iterator[Entry]:
             "there is of one that was cut short",
             field="file",
         ) from error
+
+
+def _check_summary(stream: BinaryIO) -> None:
+    """Raises ValueError if the summary at the end of an MCAP file is not as it was written. The reader takes the keys of the messages from it, and
+    checks the checksums of their chunks alone.
+
+    The layout of the footer is that of https://mcap.dev/spec#footer-op0x02; a checksum of 0 means none.
+    """
+    end = stream.seek(0, os.SEEK_END)
+    stream.seek(max(0, end - _FOOTER_END))
+    begin, checksum = struct.unpack_from("<Q8xI", stream.read(), _FOOTER_HEAD)
+    if checksum:
+        stream.seek(begin)
+        if zlib.crc32(stream.read(max(0, end - _AFTER_SUMMARY - begin))) != checksum:
+            raise ValueError("its summary is damaged")
+    stream.seek(0)
 
 
 @functools.cache

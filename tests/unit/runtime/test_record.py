@@ -152,6 +152,14 @@ def test_a_disk_that_is_full_is_an_error_of_the_system_and_leaves_no_record(path
     assert not path.exists()
 
 
+def test_a_key_that_is_damaged_in_the_summary_is_not_believed(path: Path) -> None:
+    whole = write(path, [(at, KEYS.joint_states, b"%d" % at) for at in range(3)]).read_bytes()
+    at = whole.rindex(b"zarm/")
+    path.write_bytes(whole[:at] + b"{" + whole[at + 1 :])
+    with pytest.raises(InvalidRequest, match="its summary is damaged"):
+        list(read_record(path))
+
+
 @examples(1, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_of_a_file_that_is_damaged_nothing_is_read_that_was_not_written(path: Path, data: st.DataObject) -> None:
