@@ -168,7 +168,8 @@ def controller(node: Node, kind: Any, finger: list[float], end: str) -> Iterator
 
     def carry_out(goal: Any) -> Any:
         result, wanted = kind.Result(), goal.request.command.position
-        finger[0] = 0.015 if end == "stalled" else wanted if kind is GripperCommand else wanted[0]
+        if end != "aborted":  # the finger stays where it is
+            finger[0] = 0.015 if end == "stalled" else wanted if kind is GripperCommand else wanted[0]
         result.stalled, result.reached_goal = end == "stalled", end == "reached"
         if kind is GripperCommand:
             result.position = finger[0]
