@@ -11,6 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_contract.messages import VOXEL_MAP
+
 Bits = NDArray[np.uint64]
 Pairs = tuple[tuple[str, str], ...]
 
@@ -26,11 +28,13 @@ def link_bits(links: Sequence[str], pairs: Pairs) -> Bits:
 
 def checked(objects: Sequence[str], pairs: Pairs) -> Bits:
     """For each object (n,) the bits of the links against which it is checked."""
-    bits, masks = _bits(pairs), dict.fromkeys(objects, int(EVERY_LINK))
+    bits = _bits(pairs)
+    left_out = dict.fromkeys(bits, 0)
     for one, other in (*pairs, *((b, a) for a, b in pairs)):
-        if one in masks:
-            masks[one] &= ~bits[other]
-    return np.array([masks[name] for name in objects], np.uint64)
+        left_out[one] |= bits[other]
+    in_map = left_out.get(VOXEL_MAP, 0)
+    masks = (left_out.get(name, 0) | (in_map if name.startswith(f"{VOXEL_MAP}.") else 0) for name in objects)
+    return np.array([int(EVERY_LINK) & ~mask for mask in masks], np.uint64)
 
 
 def partners(name: str, pairs: Pairs) -> frozenset[str]:

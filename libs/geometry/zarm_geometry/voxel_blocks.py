@@ -10,10 +10,10 @@ from itertools import compress, product
 
 import numpy as np
 
-from zarm_contract.messages import PerceptionState, VoxelBlock, Voxels
+from zarm_contract.messages import VOXEL_MAP, PerceptionState, VoxelBlock, Voxels
 from zarm_contract.messages.perception import BLOCK
 
-MAP = "map."
+MAP = f"{VOXEL_MAP}."
 """With this begin the names of its objects; the name of the block follows."""
 
 _AHEAD = 2.0

@@ -222,6 +222,18 @@ def test_a_pair_of_the_collision_matrix_is_the_scenes_both_ways(arm: Stack, robo
     assert robot.scene.read().ignored_pairs == ()
 
 
+def test_the_octomap_may_be_touched_by_single_links(arm: Stack, robot: Robot) -> None:
+    assert applied(arm, allowed_collision_matrix=allowing(("<octomap>", "link_6")))
+    assert robot.scene.read().ignored_pairs == (("link_6", "map"),)
+    found = fetched(arm).allowed_collision_matrix
+    row = dict(zip(found.entry_names, found.entry_values[found.entry_names.index("<octomap>")].enabled, strict=True))
+    assert [name for name, allowed in row.items() if allowed] == ["link_6"]
+    whole = AllowedCollisionMatrix(default_entry_names=["<octomap>"], default_entry_values=[True])
+    assert not applied(arm, allowed_collision_matrix=whole)
+    assert applied(arm, allowed_collision_matrix=allowing(("link_5", "link_6")))
+    assert robot.scene.read().ignored_pairs == ()
+
+
 def test_a_message_with_a_fault_changes_nothing_at_all(arm: Stack, robot: Robot) -> None:
     before = robot.scene.read(), robot.settings().margin
     padding = [LinkPadding(link_name=link, padding=0.02) for link in ROBOT.descriptor.collision]

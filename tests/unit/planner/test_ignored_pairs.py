@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from zarm_contract.messages import (
     SetPairCollision,
     SingleEdit,
     Sphere,
+    Voxels,
 )
 from zarm_geometry.robot_model import RobotModel
 from zarm_planner.handlers import Handlers
@@ -105,6 +107,18 @@ def test_a_carried_object_may_touch_what_a_pair_allows(arm: RobotModel, planner:
         plan(planner)
     planner.edit(single(pairs(("ball", "table"))))
     plan(planner)
+
+
+def test_a_link_may_touch_what_cameras_see(arm: RobotModel, planner: Handlers) -> None:
+    x, y, z = at_tip(arm).position
+    seen = Voxels(kind="voxels", name="map.0.0.0", position=(x, y, z), resolution=0.02, cells=((0, 0, 0),))
+    planner.scenes.voxels = SimpleNamespace(objects={"map.0.0.0": seen})  # type: ignore[assignment]
+    with pytest.raises(PlanningFailed, match="map"):
+        plan(planner)
+    scene = planner.edit(single(pairs(("rod", "map"))))
+    assert scene.ignored_pairs == (("map", "rod"),)
+    plan(planner)
+    assert planner.edit(single(ClearScene(op="clear"))).ignored_pairs == (("map", "rod"),)
 
 
 def test_a_pair_ends_with_its_object(arm: RobotModel, planner: Handlers) -> None:

@@ -19,6 +19,8 @@ MAX_OBJECTS = 10_000
 MAX_ATTACHED = 16
 MAX_TOOL_SHAPES = 8
 MAX_ATTACHED_PARTS = 32
+VOXEL_MAP = "map"
+"""The voxel map in pairs. Its blocks are objects whose names begin with this and a dot."""
 MAX_PAIRED = 63
 """Names in the ignored pairs of a scene."""
 MAX_CELLS = 200_000
@@ -320,7 +322,7 @@ class SetObjectCollision(Message):
 class SetPairCollision(Message):
     """Check the collisions of these pairs, or ignore them: of a link or an attached object with an object, or of two of the former.
 
-    A pair is checked again once an object of it is removed. At most 63 different names (MAX_PAIRED) can be in ignored pairs.
+    `map` is the voxel map. A pair is checked again once an object of it is removed. At most 63 different names (MAX_PAIRED) can be in ignored pairs.
     """
 
     op: Literal["pairs"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import MAX_PAIRED, Scene, SetLinkCollision, SetObjectCollision, SetPairCollision
+from zarm_contract.messages import MAX_PAIRED, VOXEL_MAP, Scene, SetLinkCollision, SetObjectCollision, SetPairCollision
 
 
 def set_links(scene: Scene, edit: SetLinkCollision) -> Scene:
@@ -35,7 +35,7 @@ def set_objects(scene: Scene, edit: SetObjectCollision) -> Scene:
 
 def set_pairs(scene: Scene, edit: SetPairCollision, links: Collection[str]) -> Scene:
     """The scene with collisions of these pairs checked or ignored. Raises InvalidRequest for a name that is none of the `links` and no object."""
-    loose, there = {item.name for item in scene.objects}, names_in(scene)
+    loose, there = {VOXEL_MAP, *(item.name for item in scene.objects)}, {VOXEL_MAP, *names_in(scene)}
     for index, pair in enumerate(edit.names):
         field = f"edit.names.{index}"
         for name in pair:
@@ -65,7 +65,8 @@ def without_gone(scene: Scene, links: Collection[str]) -> Scene:
     """The scene without ignored objects, and pairs of them, that are no longer there."""
     there = names_in(scene)
     objects = tuple(name for name in scene.ignored_objects if name in there)
-    pairs = tuple(pair for pair in scene.ignored_pairs if all(name in there or name in links for name in pair))
+    known = {VOXEL_MAP, *there, *links}
+    pairs = tuple(pair for pair in scene.ignored_pairs if known.issuperset(pair))
     if (objects, pairs) == (scene.ignored_objects, scene.ignored_pairs):
         return scene
     return scene.model_copy(update={"ignored_objects": objects, "ignored_pairs": pairs})

@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA
 
 from zarm_contract.descriptor import RobotDescriptor
-from zarm_contract.messages import Scene, SceneObject, Voxels
+from zarm_contract.messages import VOXEL_MAP, Scene, SceneObject, Voxels
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.frames import matrix
 from zarm_geometry.voxel_blocks import VoxelBlocks
 from zarm_ros_bridge.convert.colours import Colour
 from zarm_ros_bridge.frames import placed
 from zarm_ros_bridge.moveit.collision_objects import collision_object, id_of
-from zarm_ros_bridge.moveit.octomap import OCTOMAP, octomap
+from zarm_ros_bridge.moveit.octomap import OCTOMAP, SEEN, octomap
 from zarm_ros_bridge.moveit.states import Positions, robot_state
 
 Array = NDArray[np.float64]
@@ -49,9 +49,9 @@ def allowed_by(scene: Scene, descriptor: RobotDescriptor) -> Any:
     """The allowed collision matrix: the pairs of links that the descriptor leaves out, and what the scene ignores."""
     links = list(descriptor.collision)
     pairs = {frozenset(pair) for pair in descriptor.self_collision_ignore}
-    pairs |= {frozenset(map(id_of, pair)) for pair in scene.ignored_pairs}
+    pairs |= {frozenset(map(_id_in_matrix, pair)) for pair in scene.ignored_pairs}
     objects = dict.fromkeys(id_of(name) for name in scene.ignored_objects)
-    paired = dict.fromkeys(id_of(name) for pair in scene.ignored_pairs for name in pair)
+    paired = dict.fromkeys(_id_in_matrix(name) for pair in scene.ignored_pairs for name in pair)
     names = [*links, *(name for name in {**objects, **paired} if name not in links)]
     whole = {*scene.ignored_links, *objects}
     rows = [
@@ -68,6 +68,12 @@ def allowed_by(scene: Scene, descriptor: RobotDescriptor) -> Any:
         default_entry_names=defaults,
         default_entry_values=[True] * len(defaults),
     )
+
+
+def _id_in_matrix(name: str) -> str:
+    """What MoveIt calls a link or an object there."""
+    identity = id_of(name)
+    return SEEN if identity in (OCTOMAP, VOXEL_MAP) else identity
 
 
 class PlanningSceneMessages:

@@ -11,6 +11,7 @@ from moveit_msgs.msg import MoveItErrorCodes as Val
 from numpy.typing import NDArray
 
 from zarm_contract.messages import (
+    VOXEL_MAP,
     AddObjects,
     Attached,
     AttachObject,
@@ -34,7 +35,7 @@ from zarm_ros_bridge.frames import Frames, placed
 from zarm_ros_bridge.moveit.allowances import Allowances
 from zarm_ros_bridge.moveit.collision_objects import moved, name_of, origin_of, parts_of
 from zarm_ros_bridge.moveit.error_codes import Refusal
-from zarm_ros_bridge.moveit.octomap import OCTOMAP
+from zarm_ros_bridge.moveit.octomap import OCTOMAP, SEEN
 from zarm_ros_bridge.moveit.planning_scene import allowed_by, grouped
 
 Array = NDArray[np.float64]
@@ -139,6 +140,12 @@ class SceneDraft:
         links, descriptor = self._robot.descriptor.collision, self._robot.descriptor
         wanted, now = Allowances.of(matrix), Allowances.of(allowed_by(self._scene, descriptor))
         objects = grouped((*self._objects.values(), *(one.object for one in self._attached.values())))
+        if SEEN in wanted.whole:
+            raise Refusal(
+                Val.FAILURE,
+                "the octomap is not ignored as a whole; allow it to single links, or clear it",
+                "allowed_collision_matrix",
+            )
         self._check_names({*wanted.whole, *(name for pair in wanted.pairs for name in pair)}, objects)
         for ids, enabled in ((wanted.whole - now.whole, False), (now.whole - wanted.whole, True)):
             if touched := tuple(link for link in links if link in ids):
@@ -152,13 +159,13 @@ class SceneDraft:
                 for pair in sorted(map(sorted, pairs - left_out))
                 for one in self._checked(pair[0], objects)
                 for other in self._checked(pair[1], objects)
-                if not {one, other} <= {*self._objects}
+                if not {one, other} <= {VOXEL_MAP, *self._objects}
             )
             if single:
                 self._edits.append(SetPairCollision(op="pairs", names=single, enabled=enabled))
 
     def _check_names(self, ids: set[str], objects: Mapping[str, Sequence[SceneObject]]) -> None:
-        if unknown := ids - {*objects, *self._robot.urdf.links}:
+        if unknown := ids - {SEEN, *objects, *self._robot.urdf.links}:
             raise Refusal(
                 Val.INVALID_OBJECT_NAME,
                 f"{', '.join(sorted(unknown))} is neither a link nor an object",
@@ -167,6 +174,8 @@ class SceneDraft:
 
     def _checked(self, identity: str, objects: Mapping[str, Sequence[SceneObject]]) -> list[str]:
         """The link, or the parts of an object; none for a link without collision geometry."""
+        if identity == SEEN:
+            return [VOXEL_MAP, *(part.name for part in objects.get(OCTOMAP, ()))]
         if identity in objects:
             return [part.name for part in objects[identity]]
         return [identity] if identity in self._robot.descriptor.collision else []
