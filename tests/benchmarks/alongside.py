@@ -40,13 +40,6 @@ SPREAD = 1.2
 """rad around home of random joints."""
 
 
-def rest_of(motion: TimedTrajectory, at: float) -> TimedTrajectory:
-    """What is left of a motion at `at` (s)."""
-    later = motion.time > at + 1e-3
-    states = np.concatenate([motion.at(at)[:, None], motion.states[:, later]], axis=1)
-    return TimedTrajectory(np.concatenate([[0.0], motion.time[later] - at]), *states)
-
-
 def main() -> None:
     """Print the table."""
     logging.disable()
@@ -78,7 +71,7 @@ def main() -> None:
             except ZarmError:
                 continue
             motion = TimedTrajectory.of(alone.trajectory, joints)
-            rest = rest_of(motion, float(rng.uniform(0.0, 0.7 * motion.duration)))
+            rest = motion.rest(float(rng.uniform(0.0, 0.7 * motion.duration)))
             request = asked("right", RIGHT, rest.start, concurrent=rest.message(joints), timeout=5.0)
             began = time.perf_counter()
             try:

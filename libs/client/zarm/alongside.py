@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from zarm.executor import Executor, OnProgress
 from zarm.planner import Planner
-from zarm_contract.errors import ExecutionRefused, from_problem
-from zarm_contract.messages import Continuation, ExecuteRequest, GoalState, GoalTrajectory, PlanRequest
+from zarm_contract.errors import ExecutionRefused
+from zarm_contract.messages import Continuation, GoalState, GoalTrajectory, PlanRequest
 from zarm_trajectory.trajectory import TimedTrajectory
 
 _LEADS = (0.4, 0.8, 1.6)
@@ -39,16 +37,11 @@ def execute_alongside(
         plan = planner.request_plan(request.model_copy(update=beside))
         where = Continuation(goal_id=goal_id, number=followed.number, at=at)
         try:
-            connection.ask(keys.execute, ExecuteRequest(plan_id=plan.plan_id, continues=where))
+            return executor.take_over(plan, where, on_progress)
         except ExecutionRefused as refusal:
             if refusal.problem.code not in _LATE:
                 raise
             late = refusal
-            continue
-        last = executor.follow(goal_id, on_progress)
-        if last.problem is not None:
-            raise from_problem(last.problem)
-        return last
     else:
         if late is not None:
             raise late
@@ -57,10 +50,5 @@ def execute_alongside(
 
 def _rest(followed: GoalTrajectory, at: float) -> TimedTrajectory | None:
     """What is left of a goal from the path time `at` (s) on; None if that is nothing."""
-    joints = followed.trajectory.joint_names
-    motion = TimedTrajectory.of(followed.trajectory, joints).begun_at(followed.start)
-    if at >= motion.duration:
-        return None
-    later = motion.time > at + 1e-3
-    states = np.concatenate([motion.at(at)[:, None], motion.states[:, later]], axis=1)
-    return TimedTrajectory(np.concatenate([[0.0], motion.time[later] - at]), *states)
+    motion = TimedTrajectory.of(followed.trajectory, followed.trajectory.joint_names).begun_at(followed.start)
+    return None if at >= motion.duration else motion.rest(at)

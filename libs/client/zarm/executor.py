@@ -13,6 +13,7 @@ from zarm.values import made
 from zarm_contract.errors import ExecutionRefused, Unavailable, from_problem
 from zarm_contract.messages import (
     CancelRequest,
+    Continuation,
     ExecuteRequest,
     ExecutorState,
     GoalState,
@@ -61,6 +62,18 @@ class Executor(Calls):
         """
         with self._new_goal() as goal_id:
             self._send(what, goal_id, preempt, replan)
+            last = self._followed(goal_id, on_progress)
+        if last.problem is not None:
+            raise from_problem(last.problem)
+        return last
+
+    def take_over(self, plan: Plan, where: Continuation, on_progress: OnProgress | None = None) -> GoalState:
+        """Let a plan take over from a running goal, `where` it was planned to, and wait for the end of that goal. Returns its last state.
+
+        From then on it is a goal of this client: Ctrl-C, or an exception in `on_progress`, stops the robot, as in `execute`.
+        """
+        with self._new_goal(where.goal_id) as goal_id:
+            self._ask(self._keys.execute, ExecuteRequest(plan_id=plan.plan_id, continues=where))
             last = self._followed(goal_id, on_progress)
         if last.problem is not None:
             raise from_problem(last.problem)

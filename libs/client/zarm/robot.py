@@ -124,7 +124,7 @@ class Robot(Calls):
         ```
 
         The motion is planned among what is left of the running goal, which stays as it is, and begins as soon as the two stay apart.
-        From then on they are one goal, with the id of the running one: pause, cancel, speed and guard hold both. If no goal
+        From then on they are one goal, with the id of the running one: pause, cancel, Ctrl-C, speed and guard are for both. If no goal
         runs, or it is as good as done, this is `execute(plan(...))`. Raises what `plan` and `execute` raise; InvalidRequest if the
         running goal moves a joint of the group.
         """

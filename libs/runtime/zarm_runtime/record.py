@@ -43,11 +43,11 @@ _DAMAGED = (McapError, ZstdError, ValueError, LookupError, OverflowError, Memory
 """Errors that the libraries raise for a truncated or modified file; lengths in it may have any value."""
 
 _FOOTER_HEAD = 9
-"""Bytes of the opcode and the length of the footer of an MCAP file,"""
+"""Bytes of opcode and length at the beginning of the footer of an MCAP file."""
 _AFTER_SUMMARY = 12
-"""of its checksum and the magic number after it,"""
+"""Bytes after what the checksum of the summary is about: the checksum and the magic number."""
 _FOOTER_END = _FOOTER_HEAD + 16 + _AFTER_SUMMARY
-"""and from the beginning of the footer to the end of the file."""
+"""Bytes from the beginning of the footer to the end of the file."""
 
 
 class RecordFile:

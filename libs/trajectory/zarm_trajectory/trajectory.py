@@ -160,6 +160,12 @@ class TimedTrajectory:
         first = min(max(0, int(np.searchsorted(self.time, time, side="right")) - 1), len(self.time) - 2)
         return type(self)(self.time[first:], self.position[first:], self.velocity[first:], self.acceleration[first:])
 
+    def rest(self, time: float) -> Self:
+        """What is left of the motion at `time` (s), which is before its end: from time 0 on, beginning in the state that it has then."""
+        later = self.time > time + _APART
+        states = np.concatenate([self.at(time)[:, None], self.states[:, later]], axis=1)
+        return type(self)(np.concatenate([[0.0], self.time[later] - time]), *states)
+
     def columns(self, which: slice) -> Self:
         """The motion of some of the joints alone."""
         rows = self.position[:, which], self.velocity[:, which], self.acceleration[:, which]
@@ -228,6 +234,8 @@ _SWING = 0.375
 """The quintic from rest to a point with the acceleration a, over no distance, reaches -0.374 a on its way: the minimum
 of 3 u - 12 u^2 + 10 u^3.
 """
+_APART = 1e-3
+"""Samples that follow the beginning of a rest by less than this (s) are left out."""
 _FEW = 8
 """As long as so many times fewer segments than there are were asked for at once, only those are computed."""
 SHORTEST = 1e-6

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import json
+import signal
+import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack
 
@@ -11,10 +13,11 @@ import numpy as np
 import pytest
 
 import zarm
+from support.command_line import ZARM, environment
 from support.command_line import zarm as zarm_cli
 from support.composed import two_pandas
 from support.example_programs import run_example
-from support.harness import ServiceProcess, eventually, router
+from support.harness import PATIENCE, ServiceProcess, eventually, router
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Continuation, ExecuteRequest
@@ -93,6 +96,37 @@ def test_an_arm_joins_in_while_the_other_moves(robot: zarm.Robot) -> None:
     assert robot.tip("right").position == pytest.approx((0.45, -0.45, 0.4), abs=1e-3)
     moves = [np.abs(after - before) > 1e-5 for before, after in itertools.pairwise(states)]
     assert any(moved[LEFT].any() and moved[RIGHT].any() for moved in moves), "both move at once"
+
+
+def test_the_servo_holds_both_arms_before_what_appears(robot: zarm.Robot) -> None:
+    goal_id = robot.start(robot.plan(zarm.Pose((0.45, 0.65, 0.4), DOWN), group="left", velocity_scale=0.1))
+    goal, held = zarm.Pose((0.45, -0.65, 0.35), DOWN), []
+
+    def look(state: zarm.GoalState) -> None:
+        if state.progress > 0.1 and not held and "ball" not in robot.scene.objects():
+            robot.scene.add(zarm.Sphere("ball", radius=0.05, position=goal.position))
+        if state.hold is not None and not held:
+            held.append(state.hold.reason)
+            robot.scene.remove("ball")
+
+    last = robot.execute_alongside(goal, look, group="right", velocity_scale=0.1)
+    assert held == ["obstruction"]
+    assert (last.goal_id, last.status) == (goal_id, "succeeded")
+    assert robot.tip("left").position == pytest.approx((0.45, 0.65, 0.4), abs=1e-3)
+    assert robot.tip("right").position == pytest.approx(goal.position, abs=1e-3)
+
+
+def test_an_interruption_of_who_joined_in_stops_both_arms(cell: Cell, robot: zarm.Robot) -> None:
+    goal_id = robot.start(robot.plan(zarm.Pose((0.45, 0.65, 0.4), DOWN), group="left", velocity_scale=0.05))
+    command = ("execute", "--alongside", "--group", "right", "--to", "0.45,-0.65,0.35", "--velocity-scale", "0.05")
+    with subprocess.Popen(
+        [ZARM, *command], env=environment(ZARM_CONNECT=cell.endpoint), stderr=subprocess.PIPE
+    ) as process:
+        eventually(lambda: np.ptp([positions(robot)[RIGHT], HOME], axis=0).max() > 1e-3, "the right arm moves")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) != 0
+    assert robot.follow(goal_id).status == "cancelled"
+    assert robot.state().mode == "idle"
 
 
 def test_an_arm_that_joins_in_waits_for_the_other(robot: zarm.Robot) -> None:

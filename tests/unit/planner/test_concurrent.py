@@ -90,9 +90,7 @@ def test_an_arm_waits_until_the_other_is_out_of_its_way(pandas: Handlers) -> Non
 
 def test_the_rest_of_a_motion_under_way_goes_on_as_it_was(pandas: Handlers) -> None:
     left = motion(plan(pandas, to(0.45, 0.45, 0.4), "left"))
-    later = left.time > 0.4
-    states = np.concatenate([left.at(0.4)[:, None], left.states[:, later]], axis=1)
-    rest = TimedTrajectory(np.concatenate([[0.0], left.time[later] - 0.4]), *states)
+    rest = left.rest(0.4)
     both = motion(plan(pandas, to(0.45, -0.45, 0.4), "right", concurrent=rest.message(JOINTS)))
     np.testing.assert_allclose(both.at(0.0)[:, LEFT], left.at(0.4)[:, LEFT], atol=1e-9)
     times = np.linspace(0.0, rest.duration, 500)

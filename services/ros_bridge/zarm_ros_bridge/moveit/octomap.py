@@ -23,7 +23,7 @@ Keys = NDArray[np.int64]
 
 FINEST, COARSEST = 0.002, 1.0
 """Edges (m) of the cells that the scene takes."""
-SEEN = "<octomap>"
+OCTOMAP_NS = "<octomap>"
 """What MoveIt calls the octomap in the allowed collision matrix."""
 OCTOMAP = "octomap"
 """The object of the scene that a client's octomap is."""

@@ -27,7 +27,7 @@ from zarm_geometry.voxel_blocks import VoxelBlocks
 from zarm_ros_bridge.convert.colours import Colour
 from zarm_ros_bridge.frames import placed
 from zarm_ros_bridge.moveit.collision_objects import collision_object, id_of
-from zarm_ros_bridge.moveit.octomap import OCTOMAP, SEEN, octomap
+from zarm_ros_bridge.moveit.octomap import OCTOMAP, OCTOMAP_NS, octomap
 from zarm_ros_bridge.moveit.states import Positions, robot_state
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ def allowed_by(scene: Scene, descriptor: RobotDescriptor) -> Any:
 def _id_in_matrix(name: str) -> str:
     """What MoveIt calls a link or an object there."""
     identity = id_of(name)
-    return SEEN if identity in (OCTOMAP, VOXEL_MAP) else identity
+    return OCTOMAP_NS if identity in (OCTOMAP, VOXEL_MAP) else identity
 
 
 class PlanningSceneMessages:

@@ -191,14 +191,15 @@ class PlanningScenes:
             c = colour.color
             draft.colours[name_of(colour.id)] = (c.r, c.g, c.b, c.a)
         planner = self._engine.client.planner
+        if margin is None:
+            self._apply_draft(draft)
+            return
         before = planner.settings().margin
-        if margin is not None:
-            planner.settings(margin=margin)
+        planner.settings(margin=margin)
         try:
             self._apply_draft(draft)
         except ZarmError:
-            if margin is not None:
-                planner.settings(margin=before)
+            planner.settings(margin=before)
             raise
 
     def _object(self, message: Any) -> None:

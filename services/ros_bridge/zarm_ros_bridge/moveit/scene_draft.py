@@ -35,7 +35,7 @@ from zarm_ros_bridge.frames import Frames, placed
 from zarm_ros_bridge.moveit.allowances import Allowances
 from zarm_ros_bridge.moveit.collision_objects import moved, name_of, origin_of, parts_of
 from zarm_ros_bridge.moveit.error_codes import Refusal
-from zarm_ros_bridge.moveit.octomap import OCTOMAP, SEEN
+from zarm_ros_bridge.moveit.octomap import OCTOMAP, OCTOMAP_NS
 from zarm_ros_bridge.moveit.planning_scene import allowed_by, grouped
 
 Array = NDArray[np.float64]
@@ -140,7 +140,7 @@ class SceneDraft:
         links, descriptor = self._robot.descriptor.collision, self._robot.descriptor
         wanted, now = Allowances.of(matrix), Allowances.of(allowed_by(self._scene, descriptor))
         objects = grouped((*self._objects.values(), *(one.object for one in self._attached.values())))
-        if SEEN in wanted.whole:
+        if OCTOMAP_NS in wanted.whole:
             raise Refusal(
                 Val.FAILURE,
                 "the octomap is not ignored as a whole; allow it to single links, or clear it",
@@ -165,7 +165,7 @@ class SceneDraft:
                 self._edits.append(SetPairCollision(op="pairs", names=single, enabled=enabled))
 
     def _check_names(self, ids: set[str], objects: Mapping[str, Sequence[SceneObject]]) -> None:
-        if unknown := ids - {SEEN, *objects, *self._robot.urdf.links}:
+        if unknown := ids - {OCTOMAP_NS, *objects, *self._robot.urdf.links}:
             raise Refusal(
                 Val.INVALID_OBJECT_NAME,
                 f"{', '.join(sorted(unknown))} is neither a link nor an object",
@@ -174,7 +174,7 @@ class SceneDraft:
 
     def _checked(self, identity: str, objects: Mapping[str, Sequence[SceneObject]]) -> list[str]:
         """The link, or the parts of an object; none for a link without collision geometry."""
-        if identity == SEEN:
+        if identity == OCTOMAP_NS:
             return [VOXEL_MAP, *(part.name for part in objects.get(OCTOMAP, ()))]
         if identity in objects:
             return [part.name for part in objects[identity]]
@@ -223,10 +223,15 @@ class SceneDraft:
 
     def _take(self, names: Sequence[str]) -> None:
         """Remove objects."""
-        if names:
+        if not names:
+            return
+        last = self._edits[-1] if self._edits else None
+        if isinstance(last, RemoveObjects):
+            self._edits[-1] = last.model_copy(update={"names": (*last.names, *names)})
+        else:
             self._edits.append(RemoveObjects(op="remove", names=tuple(names)))
-            for name in names:
-                del self._objects[name]
+        for name in names:
+            del self._objects[name]
 
     def _detach(self, name: str) -> None:
         self._edits.append(DetachObject(op="detach", name=name))
