@@ -235,12 +235,15 @@ def test_the_octomap_may_be_touched_by_single_links(arm: Stack, robot: Robot) ->
 
 
 def test_a_message_with_a_fault_changes_nothing_at_all(arm: Stack, robot: Robot) -> None:
+    assert applied(arm, objects=[SHELF])
     before = robot.scene.read(), robot.settings().margin
     padding = [LinkPadding(link_name=link, padding=0.02) for link in ROBOT.descriptor.collision]
     assert not applied(arm, objects=[POST, item("", at(0.9, 0.5, 0.2))], link_padding=padding)
     assert not applied(arm, objects=[POST, item("gone", at(0.9, 0.5, 0.2), operation=CollisionObject.REMOVE)])
     far = item("far", at(1e6, 0.0, 0.0), (shape(SolidPrimitive.BOX, 0.1, 0.1, 0.4), at(0.0, 0.0, 0.0)))
     assert not applied(arm, objects=[POST, far], link_padding=padding)
+    gone = item("shelf", at(0.0, 0.0, 0.0), operation=CollisionObject.REMOVE)
+    assert not applied(arm, objects=[gone, far], link_padding=padding)
     assert (robot.scene.read(), robot.settings().margin) == before
 
 
