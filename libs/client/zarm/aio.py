@@ -343,6 +343,7 @@ class Robot(_Twin[zarm.robot.Robot]):
     strategy = _awaited(zarm.robot.Robot.strategy)
     state = _awaited(zarm.robot.Robot.state)
     joint_state = _awaited(zarm.robot.Robot.joint_state)
+    take_over = _awaited(zarm.robot.Robot.take_over)
     execute_alongside = _awaited(zarm.robot.Robot.execute_alongside)
     tip = _awaited(zarm.robot.Robot.tip)
     health = _awaited(zarm.robot.Robot.health)

@@ -90,6 +90,7 @@ class Robot(Calls):
     check = _short(_planner, Planner.check)
     execute = _short(_executor, Executor.execute)
     start = _short(_executor, Executor.start)
+    take_over = _short(_executor, Executor.take_over)
     follow = _short(_executor, Executor.follow)
     goal_states = _short(_executor, Executor.goal_states)
     cancel = _short(_executor, Executor.cancel)
