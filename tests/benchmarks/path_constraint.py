@@ -112,8 +112,7 @@ def problems(
         start = rng.uniform(model.lower, model.upper)
         if not is_free(model, world, start):
             continue
-        pose = model.fk_tip(start)
-        held = ConstraintManifold.of(model, message, pose)
+        held = ConstraintManifold.of(model, message, start)
         end = wander(world, held, start, rng)
         if np.linalg.norm(end - start) < NEAREST:
             continue

@@ -370,6 +370,12 @@ class RobotModel:
         joint, offset, _ = self._tips[group]
         return self._frames(q, np.array([joint], np.int32), offset[None])[..., 0, :, :]
 
+    def tip_place(self, group: str | None) -> Place:
+        """The joint that carries the tip of a group, or the `tip_link`, -1 for the base, and the tip (4, 4) in its frame."""
+        if group is None:
+            return self.tip_joint, self.offset[-1]
+        return self.mount(self.robot.tip_of((group,)))
+
     def fk_link(self, link: str, q: ArrayLike) -> Array:
         """The pose of a link (..., 4, 4) for joints (..., dof). Raises InvalidRequest for one that is not of this robot."""
         return self.fk_frame(self.mount(link), q)

@@ -60,6 +60,10 @@ class Group:
         moving = robot.group(*names).descriptor.joints
         return cls(names, np.array([robot.descriptor.joints.index(joint) for joint in moving], np.intp))
 
+    def with_group(self, robot: RobotDescription, name: str) -> Self:
+        """This group and another one as one."""
+        return self._named(robot, (*self.names, name))
+
     def scene(self, scene: PlanningScene, q: Array) -> PlanningScene:
         """A scene of the whole robot as one of the group, whose other joints stand as in `q` (dof,)."""
         model = scene.exact.model.group(self.names, q)  # what was measured of it once is kept there

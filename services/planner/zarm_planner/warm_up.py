@@ -114,7 +114,7 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
             task.use_between(joints)
             time_along(task.curve, joints, limits, 0.01)
     begin("the search under path constraints")
-    constraint = ConstraintManifold.of(model, PathConstraint(axes=(False, False, False, True, True, True)), pose)
+    constraint = ConstraintManifold.of(model, PathConstraint(axes=(False, False, False, True, True, True)), home)
     constraint.use(home)
     path = search_constrained(world, constraint, home, home[None], seed=0, deadline=deadline)
     if path is not None:

@@ -34,12 +34,18 @@ class PathConstraint(Message):
 
     With `frame` `base` these are the position and the rotation vector from the start orientation, both in the base frame. With
     `tool` they are the pose relative to the tip pose at the start. The tolerances are in m and rad.
+
+    The tip is that of `group`, by default of the group that moves. With `relative_to` its pose is that in the frame of the tip of this
+    other group, in place of the base frame: two arms that hold one object keep all six components. If the goal moves only the
+    other group, `group` follows.
     """
 
     axes: tuple[bool, bool, bool, bool, bool, bool]
     frame: Literal["base", "tool"] = "base"
     position_tolerance: Annotated[float, Field(ge=0.0005, le=0.1)] = 0.005
     angle_tolerance: Annotated[float, Field(ge=0.001, le=0.5)] = 0.02
+    group: GroupName | None = None
+    relative_to: GroupName | None = None
 
 
 class StartState(Message):

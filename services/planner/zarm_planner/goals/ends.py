@@ -113,9 +113,17 @@ def blocked_goal(context: PlanningContext, tried: Sequence[Array], field: str) -
     return _blocked(context, clearances).of_goal(field)
 
 
-def rest_end(context: PlanningContext, q: Array) -> End | None:
-    """The end at `q`, which is free of collision; None if there is no way from it to a configuration free in spheres."""
-    return _end(context, q, None)
+def rest_end(context: PlanningContext, q: Array, constraint: ConstraintManifold | None) -> End | None:
+    """The end at `q`, which is free of collision; None if no way within the constraint leads from it to a configuration
+    free in spheres.
+    """
+    return _end(context, q, constraint)
+
+
+def broken_goal(constraint: ConstraintManifold, pose: Array, field: str) -> ZarmError | None:
+    """The error of a goal, the request's `field`, if the pose (4, 4) that the constraint is about breaks it there."""
+    fault = _broken(constraint, pose)
+    return None if fault is None else fault.of_goal(field)
 
 
 def goal_ends(
@@ -142,8 +150,8 @@ def goal_ends(
             end = _end(context, q, constraint, _ALONE)
         if end is None:
             raise _blocked(context, [(0.0, q)]).of_goal(field)
-        if constraint is not None and (fault := _broken(constraint, context.model.fk_tip(q))):
-            raise fault.of_goal(field)
+        if constraint is not None and (fault := broken_goal(constraint, constraint.poses(q), field)):
+            raise fault
         return _with_long_ways(context, start, [end])
     if goal.approach is not None or goal.retreat is not None:  # a waypoint is passed without stopping
         raise InvalidRequest(

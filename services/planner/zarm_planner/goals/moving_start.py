@@ -73,7 +73,7 @@ def moving_start(context: PlanningContext, state: Array, *, vias: bool) -> tuple
         except VerificationFailed as error:
             failure = failure or error
             continue
-        if (end := rest_end(context, lead_in.rest)) is not None:
+        if (end := rest_end(context, lead_in.rest, None)) is not None:
             return lead_in, end
     reason = str(failure or "a joint would leave its range")
     raise PlanningFailed(

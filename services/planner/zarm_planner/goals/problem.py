@@ -52,7 +52,7 @@ class PlanningProblem:
             check_start(context, start)
             return cls(End.at(start), (), goal, None, tool_task=ToolTask.of(model, goal, start))
         if constrains(context.path_constraint):
-            constraint = ConstraintManifold.of(model, context.path_constraint, model.fk_tip(start))
+            constraint = ConstraintManifold.of(model, context.path_constraint, start)
         lead_in: LeadIn | None = None
         if motion is None or not motion.any():
             begin = start_end(context, start, constraint)
@@ -61,7 +61,7 @@ class PlanningProblem:
             lead_in, begin = moving_start(context, np.vstack((start, motion)), vias=vias)
             start = begin.asked
         if isinstance(goal, GroupsGoal):
-            return cls(begin, (group_ends(context, start, goal, "goal"),), goal, constraint, lead_in)
+            return cls(begin, (group_ends(context, start, goal, "goal", constraint),), goal, constraint, lead_in)
         through: dict[str, PoseGoal | JointGoal]
         if isinstance(goal, WaypointsGoal):
             through = {f"goal.through.{number}": waypoint for number, waypoint in enumerate(goal.through)}

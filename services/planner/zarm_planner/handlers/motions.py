@@ -23,6 +23,7 @@ from zarm_geometry.frames import pose_of
 from zarm_geometry.gripper_openings import openings_message
 from zarm_geometry.robot_model import Openings, RobotModel
 from zarm_planner.concurrent import ConcurrentMotion
+from zarm_planner.constraints.groups import ConstrainedGoal
 from zarm_planner.constraints.path_constraint import constrains
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
@@ -54,12 +55,19 @@ class MotionHandlers:
         if with_ways(request.goal):
             return self._with_ways(request)
         openings = self._state.grippers.chosen(request.openings)
-        group = Group.of(model.robot, request.group, request.goal)
+        goal, group, constraint = request.goal, Group.of(model.robot, request.group, request.goal), None
+        if constrains(request.path_constraint):
+            goal, group, constraint = ConstrainedGoal.of(model.robot, goal, group, request.path_constraint)
         others = None
         if request.concurrent is not None:
             if request.start_state is not None:
                 raise InvalidRequest(
                     "the group starts at rest beside another motion; leave this out", field="start_state"
+                )
+            if constraint is not None and constraint.relative_to is not None:
+                raise InvalidRequest(
+                    "a tip cannot be held relative to another one beside another motion; leave this out",
+                    field="path_constraint.relative_to",
                 )
             others = ConcurrentMotion.of(model.robot, request.concurrent, group)
 
@@ -84,7 +92,7 @@ class MotionHandlers:
                 ),
                 limits=limits,
                 deadline=deadline,
-                path_constraint=request.path_constraint,
+                path_constraint=constraint,
                 max_attempts=request.max_attempts or settings.max_attempts,
                 optimize_s=settings.optimize_s if request.optimize_s is None else request.optimize_s,
                 seed=request.seed,
@@ -92,12 +100,12 @@ class MotionHandlers:
             # Kernels work in single precision, which needs small angles.
             turns = whole_turns(start, model.continuous)
             if group is None:
-                verified = plan(planner, context, start - turns, request.goal, motion)
+                verified = plan(planner, context, start - turns, goal, motion)
             elif others is not None:
                 full = self._state.limits(1.0, 1.0)
-                verified = others.shifted(-turns).plan(group, planner, context, start - turns, request.goal, full)
+                verified = others.shifted(-turns).plan(group, planner, context, start - turns, goal, full)
             else:
-                verified = group.plan(planner, context, start - turns, request.goal, motion)
+                verified = group.plan(planner, context, start - turns, goal, motion)
             return context.scene, verified.shifted(turns), context.timer.timings()
 
         scene, verified, timings = self._state.scheduler.run(

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import Single
 from zarm_geometry.kernels.compiled import inlined, kernel
-from zarm_geometry.kernels.kinematics import Array
+from zarm_geometry.kernels.kinematics import Array, Index, joint_frames
 from zarm_geometry.kernels.vectors import apart, copy
-from zarm_planner.kernels.inverse import Chain, Work, make_work, tip_jacobian, tip_pose
+from zarm_planner.kernels.inverse import Chain, Work, make_work, tip_jacobian
 
 CLOSE = 1e-5
 """Largest deviation (m, rad) of a projected configuration. The rest of the tolerance is left for the deviation between
@@ -36,13 +36,19 @@ DAMPING = 0.01
 
 class ConstraintArrays(NamedTuple):
     """A path constraint: components of the tip's pose that must not change, numbered as [theta_x, theta_y, theta_z, x,
-    y, z].
+    y, z]. The pose is that in the base frame, or in a reference frame that moves too.
 
-    `start` (4, 4): the pose whose components are kept; `frame` (3, 3): rotates from the base frame to the frame of the
+    `joints` (2,): the joint that carries the tip of `chain`, and the one that carries the reference, -1 for the base;
+    `reference` (4, 4): the reference in its joint's frame; `sign` (dof,): how the tip moves as seen from the reference
+    when a joint does: 1 for a joint that moves the tip alone, -1 for one that moves the reference alone, otherwise 0.
+    `start` (4, 4): the pose whose components are kept; `frame` (3, 3): rotates from the reference to the frame of the
     components; `axes` (m,): the numbers of the constrained components; `tolerance` (6,) in rad and m.
     """
 
     chain: Chain
+    joints: Index
+    reference: Array
+    sign: Array
     start: Array
     frame: Array
     axes: NDArray[np.int64]
@@ -50,12 +56,14 @@ class ConstraintArrays(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Working memory: that of the kinematics; the rotation vector (3,); the deviation (6,); the constrained rows of the
-    Jacobian (6, dof), their normal equations (6, 6) and right side (6,); which joints are at a limit (dof,); two
-    configurations (dof,).
+    """Working memory: that of the kinematics; the pose of the reference, and that of the tip in it (3, 4); the rotation
+    vector (3,); the deviation (6,); the constrained rows of the Jacobian (6, dof), their normal equations (6, 6) and
+    right side (6,); which joints are at a limit (dof,); two configurations (dof,).
     """
 
     work: Work
+    reference: Array
+    pose: Array
     turn: Array
     deviation: Array
     rows: Array
@@ -71,6 +79,8 @@ def make_workspace(dof: int) -> Workspace:
     """Allocate the working memory for one call of a kernel."""
     return Workspace(
         make_work(dof),
+        np.eye(3, 4),
+        np.empty((3, 4)),
         np.empty(3),
         np.empty(6),
         np.empty((6, dof)),
@@ -115,11 +125,45 @@ def rotation_vector(a: Array, b: Array, out: Array) -> None:
 
 
 @inlined
+def frame_pose(frames: Array, joint: int, offset: Array, out: Array) -> None:
+    """Write the pose (3, 4) of the frame `offset` (4, 4) on a joint, -1 for the base, from the frames of the joints."""
+    for i in range(3):
+        for j in range(4):
+            if joint < 0:
+                value = offset[i, j]
+            else:
+                value = frames[joint, i, 3] if j == 3 else 0.0
+                for k in range(3):
+                    value += frames[joint, i, k] * offset[k, j]
+            out[i, j] = value
+
+
+@inlined
+def kept_pose(constraint: ConstraintArrays, q: Array, workspace: Workspace) -> None:
+    """Write the pose (3, 4) of the tip in the reference at `q` (dof,) to `workspace.pose`."""
+    chain, work, reference, pose = constraint.chain, workspace.work, workspace.reference, workspace.pose
+    joint_frames(chain.tree, chain.origin, q, work.frames)
+    frame_pose(work.frames, constraint.joints[0], chain.tip, work.pose)
+    if constraint.joints[1] < 0:
+        copy(work.pose[0], pose[0])
+        copy(work.pose[1], pose[1])
+        copy(work.pose[2], pose[2])
+        return
+    frame_pose(work.frames, constraint.joints[1], constraint.reference, reference)
+    for j in range(4):
+        x, y, z = work.pose[0, j], work.pose[1, j], work.pose[2, j]
+        if j == 3:
+            x, y, z = x - reference[0, 3], y - reference[1, 3], z - reference[2, 3]
+        for i in range(3):
+            pose[i, j] = reference[0, i] * x + reference[1, i] * y + reference[2, i] * z
+
+
+@inlined
 def deviate(constraint: ConstraintArrays, pose: Array, workspace: Workspace) -> float:
     """Write the deviation of `pose` (4, 4) from the start, all six components in rad and m, to `workspace.deviation`;
     returns the largest constrained one.
 
-    Leaves the rotation vector in base axes in `workspace.turn`.
+    Leaves the rotation vector in the reference's axes in `workspace.turn`.
     """
     rotation_vector(pose, constraint.start, workspace.turn)
     d, f, s = workspace.deviation, constraint.frame, constraint.start
@@ -152,12 +196,26 @@ def constrained_rows(constraint: ConstraintArrays, workspace: Workspace) -> None
     2018).
     """
     tip_jacobian(constraint.chain, workspace.work)
-    jac, phi = workspace.work.jacobian, workspace.turn
+    jac, phi, r = workspace.work.jacobian, workspace.turn, workspace.reference
     square = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]
     half = 0.5 * math.sqrt(square)
     c = (1.0 - half / math.tan(half)) / square if square > 1e-6 else 1.0 / 12.0
     for k in range(jac.shape[1]):
-        wx, wy, wz = jac[3, k], jac[4, k], jac[5, k]
+        sign = constraint.sign[k]
+        vx, vy, vz = sign * jac[0, k], sign * jac[1, k], sign * jac[2, k]
+        wx, wy, wz = sign * jac[3, k], sign * jac[4, k], sign * jac[5, k]
+        if constraint.joints[1] >= 0:
+            # In the reference's axes. The tip's point of the reference moves with it, so the lever arm is the same.
+            vx, vy, vz = (
+                r[0, 0] * vx + r[1, 0] * vy + r[2, 0] * vz,
+                r[0, 1] * vx + r[1, 1] * vy + r[2, 1] * vz,
+                r[0, 2] * vx + r[1, 2] * vy + r[2, 2] * vz,
+            )
+            wx, wy, wz = (
+                r[0, 0] * wx + r[1, 0] * wy + r[2, 0] * wz,
+                r[0, 1] * wx + r[1, 1] * wy + r[2, 1] * wz,
+                r[0, 2] * wx + r[1, 2] * wy + r[2, 2] * wz,
+            )
         ax, ay, az = phi[1] * wz - phi[2] * wy, phi[2] * wx - phi[0] * wz, phi[0] * wy - phi[1] * wx
         wx += c * (phi[1] * az - phi[2] * ay) - 0.5 * ax
         wy += c * (phi[2] * ax - phi[0] * az) - 0.5 * ay
@@ -170,7 +228,7 @@ def constrained_rows(constraint: ConstraintArrays, workspace: Workspace) -> None
                 workspace.rows[i, k] = f[0] * wx + f[1] * wy + f[2] * wz
             else:
                 f = constraint.frame[constraint.axes[i] - 3]
-                workspace.rows[i, k] = f[0] * jac[0, k] + f[1] * jac[1, k] + f[2] * jac[2, k]
+                workspace.rows[i, k] = f[0] * vx + f[1] * vy + f[2] * vz
 
 
 @inlined
@@ -207,8 +265,8 @@ def project(constraint: ConstraintArrays, q: Array, workspace: Workspace) -> boo
         workspace.stuck[k] = False
         q[k] = min(max(q[k], lower[k]), upper[k])
     for _ in range(ITERATIONS):
-        tip_pose(constraint.chain, q, workspace.work)
-        worst = deviate(constraint, workspace.work.pose, workspace)
+        kept_pose(constraint, q, workspace)
+        worst = deviate(constraint, workspace.pose, workspace)
         if worst <= CLOSE:
             return True
         constrained_rows(constraint, workspace)
@@ -229,8 +287,8 @@ def step_kept(constraint: ConstraintArrays, a: Single, b: Single, workspace: Wor
     """Whether a straight step from `a` to `b`, both on the manifold, uses at most SLACK of the tolerance halfway."""
     for k in range(a.shape[0]):
         workspace.middle[k] = 0.5 * (np.float64(a[k]) + np.float64(b[k]))
-    tip_pose(constraint.chain, workspace.middle, workspace.work)
-    deviate(constraint, workspace.work.pose, workspace)
+    kept_pose(constraint, workspace.middle, workspace)
+    deviate(constraint, workspace.pose, workspace)
     return used(constraint, workspace) <= SLACK
 
 

@@ -21,7 +21,7 @@ from zarm_geometry.kernels.kinematics import Array, joint_frames
 from zarm_geometry.kernels.vectors import copy
 from zarm_planner.kernels.clock import passed
 from zarm_planner.kernels.inverse import DAMPING, STALL, TOLERANCE, Chain, bring_near, known
-from zarm_planner.kernels.manifold import rotation_vector
+from zarm_planner.kernels.manifold import frame_pose, rotation_vector
 from zarm_planner.kernels.random import uniform
 
 PATIENCE = 10
@@ -123,16 +123,7 @@ def make_region_work(regions: Regions, dof: int) -> RegionWork:
 @inlined
 def place(regions: Regions, region: int, work: RegionWork) -> None:
     """Write the pose (3, 4) of a region's frame to `work.pose`, from the frames of the joints."""
-    joint = regions.joint[region]
-    for i in range(3):
-        for j in range(4):
-            if joint < 0:
-                value = regions.frame[region, i, j]
-            else:
-                value = work.frames[joint, i, 3] if j == 3 else 0.0
-                for k in range(3):
-                    value += work.frames[joint, i, k] * regions.frame[region, k, j]
-            work.pose[i, j] = value
+    frame_pose(work.frames, regions.joint[region], regions.frame[region], work.pose)
 
 
 @inlined

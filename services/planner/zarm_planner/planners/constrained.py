@@ -30,9 +30,9 @@ _SAMPLES = 100_000
 
 
 class ConstrainedPlanner(Planner):
-    """To a pose, to joints, or through waypoints, under a path constraint."""
+    """To a pose, to joints, through waypoints, or with several groups, under a path constraint."""
 
-    names = NAMES
+    names = {**NAMES, "groups": NAMES["pose"]}  # noqa: RUF012
     constrained = True
 
     def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
