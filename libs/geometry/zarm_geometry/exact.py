@@ -52,7 +52,7 @@ class Nearest:
 class ExactScene:
     """The robot's and the scene's exact geometry. Immutable, for use by any number of threads.
 
-    `reach` (dof,): how far (m) a point of the robot moves at most per rad (m if prismatic) of each joint.
+    The robot is packed when it is first looked at, or with `prepare`.
     """
 
     def __init__(self, model: RobotModel, world: World) -> None:
@@ -60,10 +60,35 @@ class ExactScene:
         if world.allowed not in ((), model.allowed):
             raise ValueError(f"the world allows {world.allowed} to touch, and the robot {model.allowed}")
         self.model, self.world = model, world
-        self._body, self.reach = robot_parts(model)
-        self._obstacles = obstacles(world)
-        self._asked = subjects(model, self._body)
-        self._asked_of_world = self._asked & (np.arange(len(self._asked)) < len(model.links))
+
+    def prepare(self) -> None:
+        """Pack the robot now, so that no look has to wait for it."""
+        _ = self._parts, self._asked
+
+    @property
+    def reach(self) -> Array:
+        """How far (m) a point of the robot moves at most per rad (m if prismatic) of each joint (dof,)."""
+        return self._parts[1]
+
+    @cached_property
+    def _parts(self) -> tuple[RobotParts, Array]:
+        return robot_parts(self.model)
+
+    @property
+    def _body(self) -> RobotParts:
+        return self._parts[0]
+
+    @cached_property
+    def _obstacles(self) -> Obstacles:
+        return obstacles(self.world)
+
+    @cached_property
+    def _asked(self) -> NDArray[np.bool_]:
+        return subjects(self.model, self._body)
+
+    @property
+    def _asked_of_world(self) -> NDArray[np.bool_]:
+        return self._asked & (np.arange(len(self._asked)) < len(self.model.links))
 
     def nearest(self, q: ArrayLike, check: Callable[[], None] = lambda: None, *, itself: bool = True) -> Nearest:
         """The smallest distance, to 0.01 mm, over configurations `q` (n, dof) or for one (dof,).

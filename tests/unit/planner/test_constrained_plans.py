@@ -162,7 +162,7 @@ def test_verification_refuses_a_motion_that_loses_what_is_held(model: RobotModel
     away = HOME + (0.0, 0.2, 0.0, 0.0, 0.0, 0.0)
     limits, exact = Limits.of(model.robot), ExactScene(model, World((), 0.0))
     motion = time_path(np.array((HOME, away)), limits, 0.01, 0.0)
-    held = ConstraintManifold.of(model, UPRIGHT, model.fk_tip(HOME))
+    held = ConstraintManifold.of(model, UPRIGHT, HOME)
     assert verify(motion, HOME, away, limits, exact, lambda: None) > 0.0
     with pytest.raises(VerificationFailed, match="theta_"):
         verify(motion, HOME, away, limits, exact, lambda: None, held)

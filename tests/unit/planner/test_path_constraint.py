@@ -97,7 +97,7 @@ def assert_kept(model: RobotModel, message: PathConstraint, motion: TimedTraject
     """At ten moments per sample, by the second opinion; and inside the limits, from rest to rest."""
     moments = np.linspace(0.0, motion.duration, 10 * len(motion.time))
     positions, _, _ = motion.sample(moments)
-    held = ConstraintManifold.of(model, message, model.fk_tip(motion.position[0]))
+    held = ConstraintManifold.of(model, message, motion.position[0])
     assert held.use(positions).max() <= 1.0
     assert held.violation(positions) is None
     worst = np.argsort(held.use(positions))[-20:]
@@ -136,7 +136,7 @@ def problem(
     while True:
         objects = random_objects(4, 0.25, rng)
         start = rng.uniform(model.lower, model.upper)
-        held = ConstraintManifold.of(model, message, model.fk_tip(start))
+        held = ConstraintManifold.of(model, message, start)
         near = held.projected(rng.uniform(model.lower, model.upper))
         pose = model.fk_tip(start if near is None else near[0])
         if message is LINE:
@@ -178,7 +178,7 @@ def test_a_glass_is_carried_upright_around_a_wall(
 ) -> None:
     start, goal = sides
     world = World(WALL, 0.005)
-    held = ConstraintManifold.of(PANDA, message, PANDA.fk_tip(start))
+    held = ConstraintManifold.of(PANDA, message, start)
     pose = PANDA.fk_tip(goal)
     pose[:3, :3] = PANDA.fk_tip(start)[:3, :3]
     goals = solve_ik(PANDA, pose, start, world=world, max_solutions=16, seed=0, deadline=Deadline(30.0)).solutions
@@ -191,7 +191,7 @@ def test_a_glass_is_carried_upright_around_a_wall(
 
 def test_the_same_seed_gives_the_same_motion_and_another_seed_another(sides: tuple[Array, Array]) -> None:
     start, goal = sides
-    world, held = World(WALL, 0.005), ConstraintManifold.of(PANDA, UPRIGHT, PANDA.fk_tip(start))
+    world, held = World(WALL, 0.005), ConstraintManifold.of(PANDA, UPRIGHT, start)
     motions = [
         plan_held(world, held, start, goal[None], Limits.of(PANDA.robot), seed=seed, deadline=Deadline(30.0))
         for seed in (1, 1, 2)
@@ -203,7 +203,7 @@ def test_the_same_seed_gives_the_same_motion_and_another_seed_another(sides: tup
 
 def test_an_arm_of_seven_joints_can_move_its_elbow_under_a_tip_that_stands_still() -> None:
     start = np.array(PANDA.robot.descriptor.home)
-    held = ConstraintManifold.of(PANDA, STILL, PANDA.fk_tip(start))
+    held = ConstraintManifold.of(PANDA, STILL, start)
     goal = held.projected(start + [0.5, 0.0, -0.5, 0.0, 0.0, 0.0, 0.0])
     assert goal is not None
     assert np.abs(goal[0] - start).max() > 0.2
@@ -215,7 +215,7 @@ def test_an_arm_of_seven_joints_can_move_its_elbow_under_a_tip_that_stands_still
 def test_an_arm_that_slides_and_turns_without_end_keeps_its_height(tmp_path: Path) -> None:
     arm = RobotModel.of(small_arm(tmp_path))
     start = np.array([-3.0, 1.2, 0.3, 0.1])
-    held = ConstraintManifold.of(arm, LEVEL, arm.fk_tip(start))
+    held = ConstraintManifold.of(arm, LEVEL, start)
     goals = held.projected(np.array([6.0, 0.9, 0.9, 0.15]))
     assert goals is not None
     motion = plan_held(World((), 0.0), held, start, goals, Limits.of(arm.robot), seed=0, deadline=Deadline(30.0))
@@ -227,7 +227,7 @@ def test_an_arm_that_slides_and_turns_without_end_keeps_its_height(tmp_path: Pat
 def test_a_goal_that_is_off_by_less_than_the_tolerance_is_reached_exactly() -> None:
     start = np.array(PANDA.robot.descriptor.home)
     pose = PANDA.fk_tip(start)
-    held = ConstraintManifold.of(PANDA, LEVEL, pose)
+    held = ConstraintManifold.of(PANDA, LEVEL, start)
     pose[:3, 3] += (0.1, 0.2, 0.9 * LEVEL.position_tolerance)
     assert held.broken_at(pose) is None
     goals = solve_ik(PANDA, pose, start, world=None, max_solutions=4, seed=0, deadline=Deadline(30.0)).solutions
@@ -239,7 +239,7 @@ def test_a_goal_that_is_off_by_less_than_the_tolerance_is_reached_exactly() -> N
 
 def test_no_distance_at_all_gives_a_motion_that_stands_still() -> None:
     start = np.array(MODELS["ur5e"].robot.descriptor.home)
-    held = ConstraintManifold.of(MODELS["ur5e"], STILL, MODELS["ur5e"].fk_tip(start))
+    held = ConstraintManifold.of(MODELS["ur5e"], STILL, start)
     motion = plan_held(
         World((), 0.0), held, start, start[None], Limits.of(held.model.robot), seed=0, deadline=Deadline(30.0)
     )
@@ -251,13 +251,13 @@ def test_no_distance_at_all_gives_a_motion_that_stands_still() -> None:
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1e-9, 1e-4, 1.0, 3.0, np.pi - 1e-7, np.pi]))
 def test_deviation_is_the_rotation_vector_and_the_shift_along_the_axes_of_the_frame(seed: int, angle: float) -> None:
     rng = np.random.default_rng(seed)
-    start, pose = np.eye(4), np.eye(4)
-    start[:3, :3], start[:3, 3] = rotation(rng.normal(size=3)), rng.normal(size=3)
+    q, pose = rng.uniform(PANDA.lower, PANDA.upper), np.eye(4)
+    start = PANDA.fk_tip(q)
     axis = rng.normal(size=3)
     turn, shift = angle * axis / np.linalg.norm(axis), rng.normal(size=3)
     pose[:3, :3], pose[:3, 3] = rotation(turn) @ start[:3, :3], start[:3, 3] + shift
     for frame, axes in (("base", np.eye(3)), ("tool", start[:3, :3].T)):
-        held = ConstraintManifold.of(PANDA, STILL.model_copy(update={"frame": frame}), start)
+        held = ConstraintManifold.of(PANDA, STILL.model_copy(update={"frame": frame}), q)
         found = held.deviations(pose)[0]
         vector = axes @ turn
         if angle > 3.14 and found[:3] @ vector < 0.0:  # half a turn is the same in either sense
@@ -273,7 +273,7 @@ def test_a_projected_configuration_keeps_what_is_held_within_the_joints_ranges(
 ) -> None:
     model, rng = MODELS[name], np.random.default_rng(seed)
     start, q = rng.uniform(model.lower, model.upper, (2, model.dof))
-    held = ConstraintManifold.of(model, message, model.fk_tip(start))
+    held = ConstraintManifold.of(model, message, start)
     near = held.projected(q)
     if near is not None:
         assert used(model, message, start, near[0]) <= CLOSE / 0.0005 + 1e-4
@@ -294,20 +294,19 @@ def test_a_projected_configuration_keeps_what_is_held_within_the_joints_ranges(
 def test_a_goal_that_cannot_be_kept_to_is_told_with_the_component_that_is_off(
     message: PathConstraint, shift: tuple[float, float, float], turn: tuple[float, float, float], says: str
 ) -> None:
-    start = PANDA.fk_tip(PANDA.robot.descriptor.home)
-    if message is LINE:
-        start[:3, :3] = np.eye(3)
+    home = np.array(PANDA.robot.descriptor.home)
+    start = PANDA.fk_tip(home)
     goal = start.copy()
-    goal[:3, 3] += shift
+    goal[:3, 3] += start[:3, :3] @ shift if message is LINE else shift
     goal[:3, :3] = rotation(np.array(turn)) @ start[:3, :3]
-    lost = ConstraintManifold.of(PANDA, message, start).broken_at(goal)
+    lost = ConstraintManifold.of(PANDA, message, home).broken_at(goal)
     assert lost is not None
     assert re.search(says, lost)
 
 
 def test_a_violation_names_the_worst_row_and_what_is_lost_there(sides: tuple[Array, Array]) -> None:
     start, goal = sides
-    held = ConstraintManifold.of(PANDA, LEVEL, PANDA.fk_tip(start))
+    held = ConstraintManifold.of(PANDA, LEVEL, start)
     low = start + [0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
     violation = held.violation(np.array((start, low, goal)))
     assert violation is not None
@@ -319,7 +318,7 @@ def test_a_violation_names_the_worst_row_and_what_is_lost_there(sides: tuple[Arr
 def test_a_goal_in_reach_that_no_held_motion_leads_to_ends_with_its_samples_and_with_a_cancel() -> None:
     ur5e = MODELS["ur5e"]
     start = np.array(ur5e.robot.descriptor.home)
-    held = ConstraintManifold.of(ur5e, STILL, ur5e.fk_tip(start))
+    held = ConstraintManifold.of(ur5e, STILL, start)
     found = solve_ik(
         ur5e, ur5e.fk_tip(start), start, world=None, max_solutions=8, seed=0, deadline=Deadline(30.0)
     ).solutions

@@ -46,6 +46,7 @@ class SceneCache:
             self._edited = self.ready(
                 scene, (*self.moved.objects_to_be(scene), *self.voxels.objects.values()), openings
             )
+            self._edited.scene.exact.prepare()
 
     def present(self, margin: float, self_margin: float = 0.0, openings: Openings = ()) -> PlanningScene:
         """The present scene with a margin to objects and one between the robot's links (m), and with grippers at these openings.
