@@ -110,15 +110,21 @@ class PathConstraint(Checked, messages.PathConstraint):
 
     In the `base` frame they are those of the position and of the rotation vector from the start's orientation; in the
     `tool` frame those of the pose as seen from the tip at the start. They may be off by the tolerances (m, rad).
+
+    The tip is that of `group`, by default of the group that moves. With `relative_to` its pose is that in the frame of the
+    tip of this other group: two arms that hold one object, `PathConstraint(group="right", relative_to="left")`. If the goal
+    moves only the other group, `group` follows.
     """
 
     def __init__(
         self,
-        axes: Iterable[Axis],
+        axes: Iterable[Axis] = AXES,
         *,
         frame: Literal["base", "tool"] = "base",
         position_tolerance: float = 0.005,
         angle_tolerance: float = 0.02,
+        group: str | None = None,
+        relative_to: str | None = None,
     ) -> None:
         held = set(axes)
         if unknown := held - set(AXES):
@@ -128,6 +134,8 @@ class PathConstraint(Checked, messages.PathConstraint):
             frame=frame,
             position_tolerance=position_tolerance,
             angle_tolerance=angle_tolerance,
+            group=group,
+            relative_to=relative_to,
         )
 
 

@@ -78,6 +78,16 @@ def plan(
     hold_frame: Annotated[
         Literal["base", "tool"] | None, typer.Option(help="Frame of the path constraint (default: base).")
     ] = None,
+    hold_group: Annotated[
+        str | None, typer.Option(help="Group whose tip is held (default: the group that moves).")
+    ] = None,
+    relative_to: Annotated[
+        str | None,
+        typer.Option(
+            metavar="GROUP",
+            help="Hold it in the frame of the tip of this group, in place of the base; without --hold, all its components.",
+        ),
+    ] = None,
     timeout: Annotated[float | None, typer.Option(help="Deadline for planning (s).")] = None,
     optimize: Annotated[float | None, typer.Option(help="Time to spend on faster trajectories (s).")] = None,
     velocity_scale: VelocityScale = None,
@@ -103,7 +113,7 @@ def plan(
     goal, at, constraint = (
         typed_goal(to, joints_goal, any_of, freedom, curve),
         joints(start, "--start"),
-        _constraint(hold, hold_frame),
+        _constraint(hold, hold_frame, hold_group, relative_to),
     )
     with connected(connect, name) as robot:
         found = request_plan(
@@ -128,16 +138,20 @@ def plan(
         out.print(table)
 
 
-def _constraint(axes: str | None, frame: str | None) -> dict[str, object] | None:
-    """Read --hold and --hold-frame; usage error for an unknown axis."""
-    if axes is None:
-        if frame is not None:
-            raise typer.BadParameter("belongs to --hold", param_hint="--hold-frame")
+def _constraint(
+    axes: str | None, frame: str | None, group: str | None, relative_to: str | None
+) -> dict[str, object] | None:
+    """Read --hold and the options that belong to it; usage error for an unknown axis."""
+    if axes is None and relative_to is None:
+        for option, given in (("--hold-frame", frame), ("--hold-group", group)):
+            if given is not None:
+                raise typer.BadParameter("belongs to --hold", param_hint=option)
         return None
-    names = axes.split(",")
+    names = AXES if axes is None else axes.split(",")
     if unknown := set(names) - set(AXES):
         raise typer.BadParameter(f"{', '.join(sorted(unknown))}: axes are {', '.join(AXES)}", param_hint="--hold")
-    return {"axes": [axis in names for axis in AXES], "frame": frame or "base"}
+    held = [axis in names for axis in AXES]
+    return {"axes": held, "frame": frame or "base", "group": group, "relative_to": relative_to}
 
 
 def request_plan(

@@ -29,7 +29,7 @@ from zarm_planner.cartesian.following import Following
 from zarm_planner.cartesian.joint_curve import JointCurve
 from zarm_planner.cartesian.task import ToolTask
 from zarm_planner.cartesian.timing import time_along
-from zarm_planner.constraints.constrained_search import search_constrained, shortcut_constrained
+from zarm_planner.constraints.constrained_search import led_to, search_constrained, shortcut_constrained
 from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
@@ -116,6 +116,7 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     begin("the search under path constraints")
     constraint = ConstraintManifold.of(model, PathConstraint(axes=(False, False, False, True, True, True)), home)
     constraint.use(home)
+    led_to(constraint, home, home[None])
     path = search_constrained(world, constraint, home, home[None], seed=0, deadline=deadline)
     if path is not None:
         shortcut_constrained(world, constraint, path, seed=0, deadline=deadline)

@@ -89,6 +89,15 @@ def shortcut_constrained(
     return np.vstack((path[0], np.clip(buffer[:count], model.lower, model.upper), path[-1]))
 
 
+def led_to(constraint: ConstraintManifold, start: Array, goals: Array) -> NDArray[np.bool_]:
+    """To which of `goals` (m, dof) a straight way along the manifold leads from `start` (dof,), free or not. The others may be in
+    a part of it that cannot be reached at all.
+    """
+    found = np.zeros(len(goals), np.bool_)
+    kernel.straight_ways(constraint.arrays, start.astype(np.float32), goals.astype(np.float32), found)
+    return found
+
+
 def _inside(constraint: ConstraintManifold, rows: Array) -> ConstraintArrays:
     """The constraint with joint ranges narrowed by _INSIDE, but still containing `rows` (n, dof)."""
     chain = constraint.arrays.chain

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from zarm_contract.messages import GroupGoal, GroupsGoal, PoseGoal
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.frames import pose_of
+from zarm_planner.constraints.constrained_search import led_to
 from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.ends import End, blocked_goal, broken_goal, goal_ends, rest_end
@@ -25,7 +27,7 @@ _MOST = 16
 _ALTOGETHER = 256
 """Most combinations of solutions of the groups that are looked at, those nearest to the start."""
 _DIFFERENT = 4
-"""Most solutions of a group for which one that it carries, or one that follows it, is solved."""
+"""Most solutions of a group for which one that it carries, or at first one that follows it, is solved."""
 
 
 class _Reached(NamedTuple):
@@ -52,16 +54,16 @@ def group_ends(
         if held is not None:
             later.update(_joints(context, held))
         combined = _with_part(context, combined, part, later, f"{field}.goals.{number}.goal")
-    if constraint is not None:
-        if held is not None:
-            combined = _with_follower(context, combined, held, constraint)
+    if constraint is not None and held is not None:
+        combined = _following(context, start, combined, held, constraint)
+    elif constraint is not None:
         combined = _keeping(constraint, combined, field)
     combined.sort(key=lambda each: float(np.sum((each.q - start) ** 2)))
     ends: list[End] = []
     for q, pose in combined[:_ALTOGETHER]:
         if is_free(context.model, context.world, q) and (not context.thorough_ik or context.exact.is_free(q)):
             ends.append(End.at(q)._replace(pose=pose))
-        if len(ends) == _MOST:
+        if len(ends) == (_MOST if constraint is None else _ALTOGETHER):
             break
     for q, pose in [] if ends else combined[:_MOST]:
         context.deadline.check()
@@ -79,13 +81,34 @@ def _without_goal(context: PlanningContext, goal: GroupsGoal, group: str | None)
     return group if joints and not joints & named else None
 
 
+def _following(
+    context: PlanningContext, start: Array, begun: list[_Reached], group: str, constraint: ConstraintManifold
+) -> list[_Reached]:
+    """The configurations `begun` with one more group, whose tip keeps the constraint: the free ones to which it leads straight
+    from `start` (dof,); with `thorough_ik`, or if there are none, all. Raises PlanningFailed.
+    """
+    few = _DIFFERENT if not context.thorough_ik else _MOST
+    for some in (begun[:few], begun[:_MOST]):
+        try:
+            made = _with_follower(context, some, group, constraint)
+        except PlanningFailed:
+            if len(some) == len(begun[:_MOST]):
+                raise
+            continue
+        free = [one for one in made if is_free(context.model, context.world, one.q)]
+        straight = led_to(constraint, start, np.array([q for q, _ in free]).reshape(-1, len(start)))
+        if straight.any() and not context.thorough_ik:
+            return list(itertools.compress(free, straight))
+    return made
+
+
 def _with_follower(
     context: PlanningContext, begun: list[_Reached], group: str, constraint: ConstraintManifold
 ) -> list[_Reached]:
     """The configurations `begun`, where the tip of one more group keeps the constraint. Raises PlanningFailed."""
     made: list[_Reached] = []
     failure: PlanningFailed | None = None
-    for one in begun[:_DIFFERENT]:
+    for one in begun:
         pose = pose_of(constraint.tip(one.q))
         goal = PoseGoal.model_construct(kind="pose", position=pose.position, orientation=pose.orientation)
         part = GroupGoal.model_construct(group=group, goal=goal)

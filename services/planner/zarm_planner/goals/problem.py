@@ -87,12 +87,14 @@ class PlanningProblem:
         return self.of(replace(context, thorough_ik=True), start, self.goal, motion)
 
     def with_other_ways(self, context: PlanningContext) -> PlanningProblem:
-        """The same problem with the ways out of tight ends that the context's seed gives, after `with_thorough_ik`; this
-        one if no end is tight, or there are no such ways.
+        """The same problem with the ends of constrained groups and the ways out of tight ends that the context's seed
+        gives, after `with_thorough_ik`; this one if there are neither, or no such ways.
 
-        A search gets nowhere from the end of a way that leads into a pocket.
+        A search gets nowhere from the end of a way that leads into a pocket, or to ends in another part of the
+        constraint's manifold.
         """
-        if all(len(end.way) == 0 for end in itertools.chain((self.start,), *self.targets)):
+        together = self.constraint is not None and isinstance(self.goal, GroupsGoal)
+        if not together and all(len(end.way) == 0 for end in itertools.chain((self.start,), *self.targets)):
             return self
         start, motion = self.beginning
         with suppress(PlanningFailed):

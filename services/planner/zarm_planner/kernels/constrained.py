@@ -55,6 +55,16 @@ def walk(constraint: ConstraintArrays, a: Single, b: Single, longest: float, row
     return 0
 
 
+@kernel
+def straight_ways(constraint: ConstraintArrays, start: Single, goals: Single, found: NDArray[np.bool_]) -> None:
+    """Write to `found` (m,) to which of `goals` (m, dof) the path along the manifold from `start` (dof,) leads, which need not be
+    free.
+    """
+    workspace, rows = make_workspace(start.shape[0]), np.empty((ROWS, start.shape[0]), np.float32)
+    for goal in range(goals.shape[0]):
+        found[goal] = walk(constraint, start, goals[goal], 1e9, rows, workspace) > 0
+
+
 @inlined
 def walk_free(checks: Space, a: Single, rows: Single, count: int) -> bool:
     """Whether the path from `a` along the first `count` rows is free."""
