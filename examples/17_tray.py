@@ -21,12 +21,12 @@ with zarm.connect() as robot:
         robot.gripper.open(f"{side}_hand")
     robot.execute(robot.plan(at_ends(0.45, 0.0, 0.3)))
     robot.scene.add(zarm.Cuboid("tray", size=(0.02, LENGTH + 0.02, 0.02), position=(0.45, 0.0, 0.3)))
-    robot.scene.attach("tray", [*HANDS["left"], *HANDS["right"]], link="left_panda_hand")
+    robot.scene.attach("tray", touch_links=[*HANDS["left"], *HANDS["right"]], link="left_panda_hand")
     for side in HANDS:
         robot.gripper.move(0.02, gripper=f"{side}_hand")
     for x, y, z in ((0.55, -0.1, 0.5), (0.4, 0.1, 0.2)):
         goal = zarm.Pose((x, y + LENGTH / 2, z), DOWN)
         plan = robot.plan(goal, group="left", path_constraint=TOGETHER)  # the right arm follows
         robot.execute(plan)
-        right = robot.fk(group="right").position
-        print(f"the hands are {goal.position[1] - right[1]:.3f} m apart, {plan.trajectory.time[-1]:.1f} s")
+        apart = robot.tip("left").position[1] - robot.tip("right").position[1]
+        print(f"the hands are {apart:.3f} m apart, after {plan.trajectory.time[-1]:.1f} s")

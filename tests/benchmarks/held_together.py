@@ -78,7 +78,9 @@ def grips(bar: Array) -> GroupsGoal:
     return GroupsGoal(kind="groups", goals=tuple(goals))
 
 
-def problems(handlers: Handlers, model: RobotModel, world: World, rng: np.random.Generator) -> Iterator[tuple[Array, Array]]:
+def problems(
+    handlers: Handlers, model: RobotModel, world: World, rng: np.random.Generator
+) -> Iterator[tuple[Array, Array]]:
     """Starts and ends (dof,) with the bar held, without end."""
     while True:
         bar = np.eye(4)
@@ -112,7 +114,9 @@ def measured(robot: str, apart: float, count: int, seed: int) -> list[str]:
             op="attach",
             name="bar",
             link=model.robot.descriptor.groups["left"].tip_link,
-            touch_links=tuple(name for name in model.links if any(part in name for part in ("hand", "finger", "link_6"))),
+            touch_links=tuple(
+                name for name in model.links if any(part in name for part in ("hand", "finger", "link_6"))
+            ),
         )
         handlers.edit(SceneEdit(edit=attach))
         carrying = model.with_attached(store.scene.attached, ())
@@ -167,7 +171,10 @@ def main() -> None:
     table = Table("arms", "solved", "plan ms", "IK / search / timing ms", "off mm", "contacts", "not solved")
     for robot, apart in CELLS.items():
         table.add_row(*measured(robot, apart, asked.count, asked.seed))
-    Console(width=160).print(table, "Times: median / 95th percentile; stages: medians. Off: the farthest that the tips were from where they hold the bar.")
+    Console(width=160).print(
+        table,
+        "Times: median / 95th percentile; stages: medians. Off: the farthest that the tips were from where they hold the bar.",
+    )
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from support.harness import ServiceProcess, eventually, router
 from support.planner.client import BEHIND_POST, HOME, load, plan, to_joints
 from support.planner.second_opinion import Collisions
 from support.trajectories import KEYS, ROBOT, with_execution
-from zarm_contract.messages import GoalState, PlanRequest, SceneObject
+from zarm_contract.messages import GoalState, PathConstraint, PlanRequest, SceneObject
 from zarm_runtime.bus import Bus
 
 SLOWLY = 0.3
@@ -45,13 +45,20 @@ class Cell:
         self.client.measured.clear()
         self.client.goals.clear()
 
-    def way(self, *objects: SceneObject, speed: float = SLOWLY, replan: bool = False) -> str:
+    def way(
+        self,
+        *objects: SceneObject,
+        speed: float = SLOWLY,
+        replan: bool = False,
+        path_constraint: PathConstraint | None = None,
+    ) -> str:
         """A running goal through the place of the post, among these objects."""
         load(self.bus, *objects)
-        made = plan(self.bus, PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST), velocity_scale=speed))
-        goal = self.client.execute(plan_id=made.plan_id, replan=replan)
-        self.client.under_way(goal, 0.05)
-        return goal
+        goal = to_joints(*BEHIND_POST)
+        made = plan(self.bus, PlanRequest(start=HOME, goal=goal, velocity_scale=speed, path_constraint=path_constraint))
+        running = self.client.execute(plan_id=made.plan_id, replan=replan)
+        self.client.under_way(running, 0.05)
+        return running
 
     def held(self, goal: str) -> GoalState:
         """Wait until the goal is held; returns its state."""

@@ -203,7 +203,12 @@ _WAYPOINTS = m.WaypointsGoal(
 )
 _START_STATE = m.StartState(position=(0.1, -0.2), velocity=(0.3, -0.5), acceleration=(0.25, -0.125))
 _PATH_CONSTRAINT = m.PathConstraint(
-    axes=(True, True, False, False, False, True), frame="tool", position_tolerance=0.002, angle_tolerance=0.01
+    axes=(True, True, False, False, False, True),
+    frame="tool",
+    position_tolerance=0.002,
+    angle_tolerance=0.01,
+    group="right",
+    relative_to="left",
 )
 _OBSTRUCTION = m.Obstruction(object="table", link="link_5", time=1.1, avoidable=False)
 _HOLD = m.Hold(reason="obstruction", obstruction=_OBSTRUCTION)
@@ -335,6 +340,7 @@ EXAMPLES: tuple[Message, ...] = (
         torque=_TORQUE,
         problem=_PROBLEM,
         goal_deviation=(0.0, 0.0, 1.5, 0.0, 0.0, -0.01),
+        path_constraint=_PATH_CONSTRAINT,
         selected_goal_index=1,
         clearance=0.002,
         too_near=(_TOO_NEAR,),
@@ -445,6 +451,7 @@ EXAMPLES: tuple[Message, ...] = (
         scene_revision=_REVISION,
         replan=True,
         tip=_POSE,
+        path_constraint=_PATH_CONSTRAINT,
         touches=(_TOUCH,),
         openings=(m.GripperOpening(gripper="hand", width=0.04),),
     ),

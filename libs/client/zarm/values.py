@@ -7,7 +7,7 @@ unit quaternions (x, y, z, w). An invalid value raises `zarm.InvalidRequest`, wh
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
 
 from pydantic import ConfigDict, ValidationError
 
@@ -27,10 +27,9 @@ if TYPE_CHECKING:
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 """The orientation (x, y, z, w) of an unrotated frame."""
-AXES = messages.POSE_COMPONENTS
-"""What a path constraint can hold and a goal leave free, in the order of its flags."""
-
 Axis = Literal["theta_x", "theta_y", "theta_z", "x", "y", "z"]
+AXES: tuple[Axis, ...] = get_args(Axis)
+"""What a path constraint can hold and a goal leave free, in the order of its flags."""
 M = TypeVar("M", bound=Message)
 
 

@@ -28,7 +28,7 @@ from zarm_contract.messages import (
 from zarm_contract.robot import RobotDescription
 from zarm_executor.admission import REST_PATIENCE, Admission
 from zarm_executor.checks import continuation, executable, startable
-from zarm_executor.goal import Goal
+from zarm_executor.goal import Goal, Joined
 from zarm_executor.grip_stop import SHARE, GripStop
 from zarm_executor.grippers import Grippers
 from zarm_executor.machine import Machine
@@ -107,6 +107,7 @@ class Executor:
                 verified=chosen.scene_revision,
                 replan=request.replan and not chosen.along_curve,
                 tip=chosen.tip,
+                path_constraint=chosen.path_constraint,
                 segments=chosen.segments,
                 touches=chosen.touches,
                 openings=chosen.openings,
@@ -134,7 +135,7 @@ class Executor:
                 chosen.scene_revision,
                 where.at,
                 chosen.openings,
-                joined=True,
+                joined=Joined(chosen.path_constraint),
             )
         return self._shown(goal)
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from zarm_contract.errors import Problem
-from zarm_contract.messages import GoalState, GoalTrajectory, Openings, Pose, SceneRevision, Touch
+from zarm_contract.messages import GoalState, GoalTrajectory, Openings, PathConstraint, Pose, SceneRevision, Touch
 from zarm_executor.grip_stop import GripStop
 from zarm_executor.monitor import Monitor
 from zarm_executor.output_stop import OutputStop
@@ -35,6 +36,12 @@ class Chunk:
     scene: SceneRevision | None = None
 
 
+class Joined(NamedTuple):
+    """A motion of other joints that joins a goal, and what it keeps to."""
+
+    path_constraint: PathConstraint | None
+
+
 @dataclass(frozen=True)
 class Goal:
     """A motion along `trajectory`; for a stream, `chunk` is the newest one.
@@ -42,7 +49,7 @@ class Goal:
     `scene` is the scene revision in which the goal began, or in which the newest chunk of a stream arrived; None if
     none was known. `verified` is the revision in which the trajectory was verified, or None; `number` counts its
     trajectories. If `replan` is set, the servo may replace the trajectory, also by one to other joints if the goal is
-    the pose `tip`. `segments` are the times (s) at which those of a program begin, `touches` where it may touch objects,
+    the pose `tip`, and one that keeps the `path_constraint`. `segments` are the times (s) at which those of a program begin, `touches` where it may touch objects,
     `openings` those of the grippers with which it was verified, and `stops` where it rests until a gripper has moved or an output is
     switched. `monitor` watches the motion.
     """
@@ -57,6 +64,7 @@ class Goal:
     number: int = 1
     replan: bool = False
     tip: Pose | None = None
+    path_constraint: PathConstraint | None = None
     segments: tuple[float, ...] = ()
     touches: tuple[Touch, ...] = ()
     openings: Openings = ()
@@ -79,10 +87,11 @@ class Goal:
         openings: Openings,
         monitor: Monitor | None = None,
         *,
-        joined: bool = False,
+        joined: Joined | None = None,
     ) -> Goal:
         """The goal that continues along `trajectory`, which was verified in that scene with these openings, watched by `monitor`
-        or as before. If a motion of other joints has `joined`, it is more than a pose of one tip.
+        or as before. If a motion of other joints has `joined`, it is more than a pose of one tip, and is not replanned if that keeps
+        to a path constraint of its own.
         """
         monitor = monitor or self.monitor
         monitor.steer(trajectory)
@@ -93,7 +102,8 @@ class Goal:
             verified=verified,
             openings=openings,
             monitor=monitor,
-            tip=None if joined else self.tip,
+            tip=self.tip if joined is None else None,
+            replan=self.replan and (joined is None or joined.path_constraint is None),
             number=self.number + 1,
         )
 
@@ -144,6 +154,7 @@ class Goal:
             scene_revision=self.verified,
             replan=self.replan,
             tip=self.tip,
+            path_constraint=self.path_constraint,
             touches=self.touches,
             openings=self.openings,
         )

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from zarm_contract.errors import Busy, ExecutionFailed, ExecutionRefused, Unavailable, ZarmError
 from zarm_contract.messages import Authority, GoalState, Hold, Openings, RobotMode, SceneRevision
-from zarm_executor.goal import Chunk, Goal
+from zarm_executor.goal import Chunk, Goal, Joined
 from zarm_executor.guard import LEAST_WAY, Guard, Limit, given_up
 from zarm_executor.monitor import Monitor
 from zarm_executor.states import (
@@ -150,7 +150,7 @@ class GoalExecution:
         openings: Openings,
         until: float | None = None,
         *,
-        joined: bool = False,
+        joined: Joined | None = None,
     ) -> None:
         """Continue along `trajectory`, verified in that scene with these openings of grippers, from the path time `at` (s) on; this
         releases a held goal. `joined` as in `Goal.replaced`.

@@ -26,7 +26,7 @@ from zarm_contract.messages import (
     SceneRevision,
 )
 from zarm_executor.command_order import CommandOrder
-from zarm_executor.goal import Chunk, Goal
+from zarm_executor.goal import Chunk, Goal, Joined
 from zarm_executor.goal_execution import GoalExecution
 from zarm_executor.guard import Guard
 from zarm_executor.monitor import Monitor
@@ -179,7 +179,7 @@ class Machine:
         openings: Openings,
         until: float | None = None,
         *,
-        joined: bool = False,
+        joined: Joined | None = None,
     ) -> Goal:
         """Continue the goal along `trajectory`, verified in `scene` with these openings of grippers, instead of its trajectory `number`; returns the
         goal.

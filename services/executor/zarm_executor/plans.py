@@ -11,6 +11,7 @@ from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.messages import (
     ExecuteRequest,
     Openings,
+    PathConstraint,
     Plan,
     PlannedSegment,
     Pose,
@@ -30,7 +31,7 @@ PUBLICATION_PATIENCE = 0.5
 class Chosen:
     """The plan to execute, or a trajectory without a plan, which need not claim a scene.
 
-    `tip` is the goal of the plan, if that is a pose. `segments` are the times (s) at which the segments of a program
+    `tip` is the goal of the plan, if that is a pose, and `path_constraint` what it keeps to. `segments` are the times (s) at which the segments of a program
     begin, `touches` where objects may be touched, `openings` those of the grippers, and `acts` the segments at which
     they move or outputs are switched. A plan `along_curve`, on which the tip keeps to lines, arcs or the ways of a program, must not be
     replanned.
@@ -45,6 +46,7 @@ class Chosen:
     touches: tuple[Touch, ...] = ()
     openings: Openings = ()
     acts: tuple[PlannedSegment, ...] = ()
+    path_constraint: PathConstraint | None = None
 
     @property
     def name(self) -> str:
@@ -101,6 +103,7 @@ class Plans:
             plan.touches,
             plan.openings,
             tuple(segment for segment in plan.segments if segment.grip is not None or segment.output is not None),
+            plan.path_constraint,
         )
 
     def _last(self) -> Plan:

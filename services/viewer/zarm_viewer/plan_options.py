@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Literal, cast
 
 from zarm.planner import ProgramOptions, Settings
-from zarm.values import AXES, Axis, PathConstraint
+from zarm.values import AXES, PathConstraint
 from zarm_contract.messages import PlannerSettings
 from zarm_viewer.controls import put
 from zarm_viewer.panel_context import PanelContext
@@ -76,6 +76,6 @@ class PlanOptions:
     @property
     def path_constraint(self) -> PathConstraint | None:
         """The axes of the tip that are held, if any."""
-        held = [cast(Axis, axis) for axis, box in self._held.items() if box.value]
+        held = [axis for axis, box in self._held.items() if box.value]
         frame = cast(Literal["base", "tool"], self._frame.value)
         return PathConstraint(held, frame=frame) if held else None

@@ -26,7 +26,7 @@ SAYS = {
     "12_pick_from_bin": "the part stands at 0.5",
     "13_wipe_table": "% of the way\nsucceeded",
 }
-ELSEWHERE = ("14_pick_and_place", "15_hand_over", "16_pick_what_a_camera_sees")
+ELSEWHERE = ("14_pick_and_place", "15_hand_over", "16_pick_what_a_camera_sees", "17_tray")
 """Take robots of their own: `test_pick_and_place`, `test_two_arms` and `test_perception` run them."""
 """What is in the output of each, besides success."""
 OF_ITS_OWN = "09_two_robots"

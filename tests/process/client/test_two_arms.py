@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 import signal
 import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -181,6 +183,14 @@ def test_one_arm_hands_a_bar_over_to_the_other(cell: Cell, robot: zarm.Robot) ->
     assert bar.position == pytest.approx((0.45, 0.3 - 0.11, 0.4), abs=3e-3)  # type: ignore[union-attr]
 
 
+def test_two_arms_carry_a_tray(cell: Cell, robot: zarm.Robot) -> None:
+    said = run_example("17_tray", cell.endpoint)
+    assert re.findall(r"the hands are ([\d.]+) m apart", said) == ["0.400", "0.400"]
+    assert robot.scene.attached()["tray"].link == "left_panda_hand"
+    robot.scene.detach("tray")
+    assert robot.scene.objects()["tray"].position == pytest.approx((0.4, 0.1, 0.2), abs=3e-3)  # type: ignore[union-attr]
+
+
 def test_the_servo_holds_an_arm_before_what_appears_in_its_way(robot: zarm.Robot) -> None:
     plan = robot.plan(zarm.Pose((0.45, -0.65, 0.35), DOWN), group="right", velocity_scale=0.1, acceleration_scale=0.1)
     x, y, z = robot.fk([plan.trajectory.position[-1]], group="right")[0].position
@@ -208,7 +218,7 @@ def test_the_servo_leads_one_tip(robot: zarm.Robot) -> None:
     assert positions(robot)[LEFT] == pytest.approx(before[LEFT], abs=1e-6)
 
 
-def test_the_command_line_moves_groups(cell: Cell, robot: zarm.Robot) -> None:
+def test_the_command_line_moves_groups(cell: Cell, robot: zarm.Robot, tmp_path: Path) -> None:
     def done(*arguments: str) -> str:
         result = zarm_cli(*arguments, ZARM_CONNECT=cell.endpoint)
         assert result.returncode == 0, result.stderr
@@ -222,6 +232,11 @@ def test_the_command_line_moves_groups(cell: Cell, robot: zarm.Robot) -> None:
     done("execute", "--alongside", "--group", "right", "--to", "0.4,-0.4,0.5")
     assert robot.tip("left").position == pytest.approx((0.45, 0.45, 0.4), abs=1e-3)
     assert robot.tip("right").position == pytest.approx((0.4, -0.4, 0.5), abs=1e-3)
+    done("execute", "--to", "left=0.4,0.2,0.4", "--to", "right=0.4,-0.2,0.4")
+    follows, plan = ("--hold-group", "right", "--relative-to", "left"), str(tmp_path / "tray.json")
+    done("plan", "--group", "left", "--to", "0.5,0.3,0.5", *follows, "--save", plan)
+    done("execute", "--plan", plan)
+    assert robot.tip("right").position == pytest.approx((0.5, -0.1, 0.5), abs=1e-3)
     done("execute", "--group", "right", "--to", "0.4,-0.3,0.4")
     tip = json.loads(done("fk", "--group", "right", "--json"))["poses"][0]
     assert tip["position"] == pytest.approx((0.4, -0.3, 0.4), abs=1e-3)

@@ -10,7 +10,7 @@ from support.harness import eventually
 from support.planner.client import BEHIND_POST, HOME, POST, load, plan
 from support.planner.second_opinion import link_pose
 from support.trajectories import ROBOT
-from zarm_contract.messages import PlanRequest, PoseGoal, Sphere
+from zarm_contract.messages import PathConstraint, PlanRequest, PoseGoal, Sphere
 from zarm_geometry.frames import pose_of
 from zarm_geometry.robot_model import RobotModel
 
@@ -29,6 +29,21 @@ def test_a_robot_goes_round_what_is_put_in_its_way_without_stopping(cell: Cell) 
     assert {state.status for state in states} == {"accepted", "running", "succeeded"}
     cell.assert_free_of(POST)
     assert cell.client.greatest_acceleration() < 1.05
+
+
+@pytest.mark.slow  # as in unit/servo/test_replanning.py
+def test_a_glass_that_is_carried_upright_stays_so_round_what_is_put_in_its_way(cell: Cell) -> None:
+    upright = PathConstraint(axes=(True, True, False, False, False, False))
+    goal = cell.way(replan=True, path_constraint=upright)
+    load(cell.bus, POST)
+    assert cell.client.ended(goal).status == "succeeded"
+    np.testing.assert_allclose(cell.client.position(), BEHIND_POST, atol=1e-6)
+    cell.assert_free_of(POST)
+    commanded = np.array([state.joint_command for state in cell.client.goals if state.goal_id == goal])
+    axes = MODEL.fk_tip(commanded)[:, :3, 2]
+    assert (
+        np.arccos(np.clip(axes @ axes[0], -1.0, 1.0)).max() < 0.04
+    )  # 0.02 rad about each of two axes, from where it was planned
 
 
 @pytest.mark.slow  # as in unit/servo/test_replanning.py

@@ -160,7 +160,7 @@ def test_goals_of_both_arms_that_would_tear_the_object_are_refused(pandas: Handl
 def test_where_only_the_arm_that_follows_cannot_be_is_said(pandas: Handlers, start: tuple[float, ...]) -> None:
     aside = pose(0.3, 0.95, 0.3)
     pandas.plan(PlanRequest(goal=aside, start=start, group="left", optimize_s=0.0))
-    with pytest.raises(PlanningFailed, match="right cannot follow: .* cannot be reached") as refused:
+    with pytest.raises(PlanningFailed, match=r"right cannot follow: .* cannot be reached") as refused:
         pandas.plan(request(aside, start, group="left"))
     assert refused.value.problem.field == "path_constraint.group"
     assert refused.value.problem.code == "unreachable"

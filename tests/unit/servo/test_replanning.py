@@ -20,6 +20,7 @@ from zarm_contract.messages import (
     Hold,
     JointState,
     ObjectPose,
+    PathConstraint,
     Plan,
     PlanRequest,
     PlanTimings,
@@ -123,6 +124,20 @@ def replanner(peers: Peers, checker: Checker) -> Iterator[Replanner]:
     with Replanner(ROBOT, checker, peers.world, peers.ask, peers.replace, Metrics()) as running:
         running.on_goal(goal(0.2))
         yield running
+
+
+def test_a_goal_with_a_path_constraint_is_planned_at_rest_and_keeps_it(peers: Peers, replanner: Replanner) -> None:
+    upright = PathConstraint(axes=(True, True, False, False, False, False))
+    message = FOLLOWED.model_copy(update={"path_constraint": upright})
+    held = FollowedGoal(message, PATH, since=0.0, commanded=0.0, reported=0.0)
+    replanner.on_validity(held, PATH.duration - 0.1)
+    peers.measured.rests = True
+    replanner.on_goal(goal(0.3, held=True))
+    replanner.on_validity(held, PATH.duration - 0.1)
+    (replaced,) = eventually(lambda: list(peers.replaced), "the trajectory is replaced")
+    (request,) = peers.asked
+    assert (request.start_state, replaced.at) == (None, None)
+    assert request.path_constraint == upright
 
 
 def test_a_blocked_goal_is_planned_from_a_state_ahead_to_its_end_no_faster_than_it_was(

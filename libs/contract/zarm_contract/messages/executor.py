@@ -8,6 +8,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
+from zarm_contract.messages.goals import PathConstraint
 from zarm_contract.messages.gripper import Openings
 from zarm_contract.messages.motion import Joints, Name, NonNegative, Pose, Positive, SequenceNumber, Touch, Trajectory
 from zarm_contract.messages.scene import SceneRevision
@@ -38,7 +39,7 @@ class ExecuteRequest(Message):
     goal then does not start, whichever of the two messages arrives first.
 
     With `replan` the servo plans again to the end of the trajectory if an object blocks it. The new trajectory
-    replaces the old one while the robot moves; if there is no time for that, the robot stops first. A line, an arc, a path or a program
+    replaces the old one while the robot moves; if there is no time for that, or a path constraint to keep, the robot stops first. A line, an arc, a path or a program
     is not replanned: the robot brakes on its way, and goes on along it once that is free.
 
     With `continues` the plan takes over from a running goal, in motion: it begins exactly as that goes on at that time, because it was made
@@ -95,7 +96,7 @@ class GoalTrajectory(Message):
 
     Sample 0 of `trajectory` is at the path time `start` (s). `scene_revision` is the scene in which it was verified; left out: not verified.
     With `replan` the servo replaces it when something is in its way. `tip` is the pose of a pose goal: any joints that bring the tip
-    there will do. Left out: the joints at the end are the goal. `touches` say where it may touch objects, in path time. `openings` are
+    there will do. Left out: the joints at the end are the goal. A trajectory that replaces it keeps the `path_constraint`. `touches` say where it may touch objects, in path time. `openings` are
     those of the grippers with which it was verified.
     """
 
@@ -106,6 +107,7 @@ class GoalTrajectory(Message):
     scene_revision: SceneRevision | None = None
     replan: bool = False
     tip: Pose | None = None
+    path_constraint: PathConstraint | None = None
     touches: tuple[Touch, ...] = ()
     openings: Openings = ()
 

@@ -195,6 +195,25 @@ GroupName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_+]{0,63}$")]
 """A joint group of the descriptor."""
 
 
+class PathConstraint(Message):
+    """A path constraint: components of the tip pose that stay as at the start, `[theta_x, theta_y, theta_z, x, y, z]`.
+
+    With `frame` `base` these are the position and the rotation vector from the start orientation, both in the base frame. With
+    `tool` they are the pose relative to the tip pose at the start. The tolerances are in m and rad.
+
+    The tip is that of `group`, by default of the group that moves. With `relative_to` its pose is that in the frame of the tip of this
+    other group, in place of the base frame: two arms that hold one object keep all six components. If the goal moves only the
+    other group, `group` follows.
+    """
+
+    axes: tuple[bool, bool, bool, bool, bool, bool]
+    frame: Literal["base", "tool"] = "base"
+    position_tolerance: Annotated[float, Field(ge=0.0005, le=0.1)] = 0.005
+    angle_tolerance: Annotated[float, Field(ge=0.001, le=0.5)] = 0.02
+    group: GroupName | None = None
+    relative_to: GroupName | None = None
+
+
 class GroupGoal(Message):
     """The goal of one group: a pose of its tip, or its joints."""
 

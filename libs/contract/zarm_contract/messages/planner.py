@@ -8,7 +8,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
-from zarm_contract.messages.goals import Goal, GroupName, PoseTolerance, TipFrame
+from zarm_contract.messages.goals import Goal, GroupName, PathConstraint, PoseTolerance, TipFrame
 from zarm_contract.messages.gripper import Openings, PlannedGrip
 from zarm_contract.messages.motion import (
     Joints,
@@ -27,25 +27,6 @@ from zarm_contract.messages.scene import SceneRevision
 
 PlannerKind = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 """A planner of the planner process: `classic` goes to a pose, `joint_space` to joint positions, `multi_point` through waypoints, `cartesian` along lines, arcs and paths; `auto`: the goal decides."""
-
-
-class PathConstraint(Message):
-    """A path constraint: components of the tip pose that stay as at the start, `[theta_x, theta_y, theta_z, x, y, z]`.
-
-    With `frame` `base` these are the position and the rotation vector from the start orientation, both in the base frame. With
-    `tool` they are the pose relative to the tip pose at the start. The tolerances are in m and rad.
-
-    The tip is that of `group`, by default of the group that moves. With `relative_to` its pose is that in the frame of the tip of this
-    other group, in place of the base frame: two arms that hold one object keep all six components. If the goal moves only the
-    other group, `group` follows.
-    """
-
-    axes: tuple[bool, bool, bool, bool, bool, bool]
-    frame: Literal["base", "tool"] = "base"
-    position_tolerance: Annotated[float, Field(ge=0.0005, le=0.1)] = 0.005
-    angle_tolerance: Annotated[float, Field(ge=0.001, le=0.5)] = 0.02
-    group: GroupName | None = None
-    relative_to: GroupName | None = None
 
 
 class StartState(Message):
@@ -187,7 +168,7 @@ class Plan(Message):
     passed. `path_length` is the length in joint space (rad, Euclidean). `tip` is the pose at the end. `selected_goal_index`
     says which pose of a pose goal that is: 0 is its own, k its k-th alternative. With waypoints it belongs to the last one.
     It is left out if the motion ends at a joint goal. `goal_deviation` says how a goal's tolerance is used: the components
-    `[theta_x, theta_y, theta_z, x, y, z]` (rad, m) by which the tip is off that pose, see `PoseTolerance`. `tool` is given for lines,
+    `[theta_x, theta_y, theta_z, x, y, z]` (rad, m) by which the tip is off that pose, see `PoseTolerance`. `path_constraint` is what it keeps to. `tool` is given for lines,
     arcs and paths, `segments` for programs, and `touches` where objects may be touched: `clearance` does not count these there. It holds
     for grippers with these `openings`, within 1 mm. `torque` is left out if the URDF does not state the inertia of each link. With a `problem` it is the part of a program before the segment that fails, see `ProgramRequest`.
     """
@@ -200,6 +181,7 @@ class Plan(Message):
     tip: Pose
     selected_goal_index: Annotated[int, Field(ge=0)] | None = None
     goal_deviation: PoseDeviation | None = None
+    path_constraint: PathConstraint | None = None
     tool: ToolMotion | None = None
     segments: tuple[PlannedSegment, ...] = ()
     touches: tuple[Touch, ...] = ()

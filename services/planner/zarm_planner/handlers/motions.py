@@ -9,6 +9,7 @@ from typing import Any
 from zarm_contract.errors import InvalidRequest, Problem, ZarmError
 from zarm_contract.messages import (
     Move,
+    PathConstraint,
     Plan,
     PlannedSegment,
     PlanRequest,
@@ -23,7 +24,7 @@ from zarm_geometry.frames import pose_of
 from zarm_geometry.gripper_openings import openings_message
 from zarm_geometry.robot_model import Openings, RobotModel
 from zarm_planner.concurrent import ConcurrentMotion
-from zarm_planner.constraints.groups import ConstrainedGoal
+from zarm_planner.constrained_goal import ConstrainedGoal
 from zarm_planner.constraints.path_constraint import constrains
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
@@ -113,7 +114,7 @@ class MotionHandlers:
         )
         tips = group.names if group is not None else ()
         tip = _tip(scene.model, tips, verified)
-        return self._reply(scene.revision, verified, timings, openings, tip=tip)
+        return self._reply(scene.revision, verified, timings, openings, tip=tip, path_constraint=constraint)
 
     def _reply(
         self,
@@ -126,6 +127,7 @@ class MotionHandlers:
         problem: Problem | None = None,
         *,
         tip: Pose,
+        path_constraint: PathConstraint | None = None,
     ) -> Plan:
         model, trajectory = self._state.model, verified.trajectory
         return Plan.model_construct(  # from values just verified
@@ -137,6 +139,7 @@ class MotionHandlers:
             tip=tip,
             selected_goal_index=verified.goal_pose,
             goal_deviation=verified.deviation,
+            path_constraint=path_constraint,
             tool=verified.tool,
             segments=segments,
             touches=touches,

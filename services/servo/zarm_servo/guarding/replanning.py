@@ -149,7 +149,8 @@ class Replanner:
             if goal.status != "running" or blocked.message is self._replaced:
                 continue
             try:
-                if blocked.message is not self._stops:
+                in_motion = blocked.message is not self._stops and blocked.message.path_constraint is None
+                if in_motion:
                     self._replan_in_motion(blocked)
                 elif goal.hold is not None and self._rests() and time.monotonic() - self._asked_at_rest > REST_PERIOD:
                     self._replan_at_rest(blocked)
@@ -211,15 +212,20 @@ class Replanner:
         end = dict(zip(self._joints, blocked.trajectory.end.tolist(), strict=True))
         joints, tip = JointGoal(kind="joints", position=tuple(end[joint] for joint in own)), blocked.message.tip
         try:
-            return self._ask_for(joints, group, deadline, start)
+            return self._ask_for(blocked, joints, group, deadline, start)
         except ZarmError as error:
             if tip is None or error.problem.code != "goal_in_collision":
                 raise
         pose = PoseGoal(kind="pose", position=tip.position, orientation=tip.orientation)
-        return self._ask_for(pose, group, deadline, start)
+        return self._ask_for(blocked, pose, group, deadline, start)
 
     def _ask_for(
-        self, goal: JointGoal | PoseGoal, group: str | None, deadline: float, start: StartState | None
+        self,
+        blocked: Blocked,
+        goal: JointGoal | PoseGoal,
+        group: str | None,
+        deadline: float,
+        start: StartState | None,
     ) -> Plan:
         """A plan no faster than the goal was at first. Raises DeadlineExceeded at `deadline` (s, monotonic)."""
         _, velocity, acceleration = self._pace
@@ -229,6 +235,7 @@ class Replanner:
                 goal=goal,
                 group=group,
                 start_state=start,
+                path_constraint=blocked.message.path_constraint,
                 timeout=left,
                 optimize_s=0.0,
                 velocity_scale=velocity,

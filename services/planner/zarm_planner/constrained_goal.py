@@ -37,7 +37,9 @@ class ConstrainedGoal(NamedTuple):
         if reference is not None:
             robot.check_tip(reference, _REFERENCE)
             if held is None or reference == held:
-                raise InvalidRequest("a tip is held relative to that of another group; name another one", field=_REFERENCE)
+                raise InvalidRequest(
+                    "a tip is held relative to that of another group; name another one", field=_REFERENCE
+                )
         constraint = constraint.model_copy(update={"group": held})
         if held is None or group is None or group.names == (held,):
             return cls(goal, group, constraint)
