@@ -219,6 +219,11 @@ class RobotDescriptor(Section):
     """Maximum time between two samples of a planned trajectory (s)."""
     execution: ExecutionSettings = ExecutionSettings()
     """What the executor checks before and during motion."""
+    executors: dict[GroupName, Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]] = Field(
+        default={}, max_length=8
+    )
+    """For a robot of several robots that have an executor of their own each: by group, the name of that robot on the bus. Its joints and grippers are those of the
+    group, without `<group>_` in front. The strategy `executors` moves them in step."""
     strategy: str = "emulator"
     """The control strategy at the start. `emulator` moves no hardware."""
     strategy_params: StrategyParams | None = None
@@ -272,6 +277,7 @@ class RobotDescriptor(Section):
             for name, group in self.groups.items()
             for key, fault in group.faults(self.groups)
         ]
+        faults += [f"executors.{fault}" for fault in self._executor_faults()]
         if self.strategy_params is not None:
             faults += [f"strategy_params.{fault}" for fault in self.strategy_params.faults(self.joints)]
             period, chunk = self.execution.control_period, self.strategy_params.chunk_period
@@ -284,3 +290,14 @@ class RobotDescriptor(Section):
         if faults:
             raise ValueError("\n".join(map(one_line, faults)))
         return self
+
+    def _executor_faults(self) -> Iterator[str]:
+        for group in self.executors:
+            if group not in self.groups:
+                yield f"{group}: there is no such group; the groups are {', '.join(self.groups) or 'none'}"
+        if len(set(self.executors.values())) < len(self.executors):
+            yield "a robot is named twice; each group has an executor of its own"
+        for joint in self.joints if self.executors else ():
+            owners = [group for group in self.executors if joint.startswith(f"{group}_")]
+            if len(owners) != 1:
+                yield f"{joint} must begin with the name of one of the groups {', '.join(self.executors)} and _, so that it is known whose it is"

@@ -265,7 +265,7 @@ class Keys:
         "executor/stream",
         StreamChunk,
         "The next motion from a closed-loop planner.",
-        by=(*DRIVES, "servo"),
+        by=(*DRIVES, "servo", "executor"),  # that of a robot of several robots
         realtime=True,
         recorded="changes",
     )
@@ -302,7 +302,7 @@ class Keys:
         Accepted,
         "Move a gripper to an opening, and hold.",
         to="executor",
-        by=(*ACTS, "servo"),  # for the chunks that it follows
+        by=(*ACTS, "servo", "executor"),  # for the chunks that it follows, and for a robot of several robots
     )
     gripper_cancel = Query(
         "executor/gripper/cancel", GripperCancel, GripperState, "Stop a gripper where it is.", to="executor", by=ACTS

@@ -17,6 +17,9 @@ DRIVER_STRATEGIES: Mapping[str, Literal["chunks", "whole"]] = {
 Each is the class of this name in the module of this name in `zarm_executor.strategies`.
 """
 
+EXECUTORS = "executors"
+"""The strategy of a robot of several robots, which moves each through an executor of its own."""
+
 
 def _known(name: str) -> str:
     if name not in DRIVER_STRATEGIES:

@@ -20,6 +20,9 @@ from zarm_contract.robot import RobotDescription, load_robot
 from zarm_contract.section import Section, read_section
 from zarm_contract.urdf_document import parse_urdf
 
+_LED = 0.93
+"""Share of the largest acceleration of a robot that another executor leads: what that commands while it brakes exceeds its limits by up to
+5 %, and each executor checks what it is told to do."""
 _KEPT = ("link", "joint")
 """The elements of a URDF that describe its geometry and kinematics; materials are those of its links."""
 
@@ -33,6 +36,9 @@ class Part(Section):
     """The part whose tip carries this one. Left out: it stands on `base_link`."""
     xyz: Vector3 = (0.0, 0.0, 0.0)
     """Where its base is (m), in the frame of `base_link`, or of the tip of the part that carries it."""
+    executor: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")] | None = None
+    """The name on the bus of this robot alone, if it has an executor of its own: that moves it, in step with the others. All parts have one, or
+    none."""
     rpy: Vector3 = (0.0, 0.0, 0.0)
     """Its turn (rad) about the fixed axes x, y and z, one after the other, as in a URDF."""
 
@@ -74,6 +80,12 @@ def _misplaced(document: Document, composition: Composition) -> Iterator[str]:
             known = f"those are {', '.join(before)}" if before else "it is the first one; leave `on` out"
             yield document.fault(("parts", name, "on"), f"{part.on} is not a part that comes before {name}: {known}")
         before.append(name)
+    own = [name for name, part in composition.parts.items() if part.executor is not None]
+    if own and len(own) < len(before):
+        missing = next(name for name in before if name not in own)
+        yield document.fault(
+            ("parts", missing), f"{missing} has no executor, and {own[0]} has one; give all parts one, or none"
+        )
 
 
 def compose(path: Path, folder: Path | None, overwrite: bool = False) -> Path:
@@ -185,6 +197,7 @@ def _descriptor_text(composition: Composition, robots: Mapping[str, RobotDescrip
         "outputs": {},
         "payloads": {},
         "tools": {},
+        "executors": {},
     }
     sections: dict[str, Any] = {"collision": {}, "spheres": {}, "self_collision_ignore": [], "self_collision_exact": []}
     periods = []
@@ -197,7 +210,10 @@ def _descriptor_text(composition: Composition, robots: Mapping[str, RobotDescrip
         whole["joints"] += joints
         whole["home"] += own["home"]
         for limit in whole["cspace"]:
-            whole["cspace"][limit] += own["cspace"][limit]
+            share = _LED if part.executor is not None and limit == "acceleration" else 1.0
+            whole["cspace"][limit] += [round(share * each, 6) for each in own["cspace"][limit]]
+        if part.executor is not None:
+            whole["executors"][name] = part.executor
         whole["groups"][name] = {"tip_link": tip}
         if part.on is not None:
             whole["groups"][name]["joints"] = joints
@@ -222,6 +238,8 @@ def _descriptor_text(composition: Composition, robots: Mapping[str, RobotDescrip
             sections[section] += [[_named(name, link) for link in pair] for pair in own.get(section, ())]
         periods.append(described.interpolation_dt)
     whole["interpolation_dt"] = min(periods)
+    if whole["executors"]:
+        whole["strategy"] = "executors"
     head = (
         f"# {composition.name}, made by `zarm robot compose` from {source.name}.\n"
         "# docs/reference/robot.md explains the keys and units. Lengths in m, angles in rad, times in s.\n"

@@ -4,7 +4,9 @@ At one moment the robot leaves the old trajectory on a quintic that meets the ne
 acceleration a blending time later. From a list of blending times the shortest is used whose quintic is inside every
 limit, including jerk. If there is none, as for a new trajectory that brakes at the limits itself and arrives slightly
 late, the robot comes to rest on the old trajectory and continues to the end of the new one. If the new trajectory
-continues the old one, no blending is needed, and it is followed exactly. The path speed is unchanged, so what the
+continues the old one, no blending is needed, and it is followed exactly. If it is off by so little that a correction needs
+less than the tolerance of the limits, it is followed at once, and the offset fades away: a robot that measures its joints is a
+little off what it was told. The path speed is unchanged, so what the
 follower guarantees for a trajectory inside the limits also holds during the blend.
 """
 
@@ -13,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 
 from zarm_contract.errors import ExecutionRefused, InvalidRequest
-from zarm_trajectory.limits import Limits
-from zarm_trajectory.quintic import Array, coefficients
+from zarm_trajectory.limits import LIMIT_TOLERANCE, Limits
+from zarm_trajectory.quintic import Array, coefficients, control_points, derivative, states
 from zarm_trajectory.trajectory import TimedTrajectory
 
 BLENDS = np.array([0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0])
@@ -31,6 +33,8 @@ rounding.
 """
 _CLOSE = 1e-5
 """Least time (s) between samples where a trajectory continues another."""
+_SMALL = LIMIT_TOLERANCE - 1.002
+"""Share of the limits that an offset may need to fade away: nearly all that they tolerate."""
 
 
 def blended(
@@ -55,6 +59,9 @@ def blended(
     here = _state(trajectory, begin), _state(chunk, begin - start)
     if begin - start < chunk.duration - _CLOSE and _continues(*here):
         return _followed_by(trajectory, now, begin, here[1][:, None], chunk.begun_at(start), begin, _CLOSE)
+    faded = _faded(chunk.begun_at(start), begin, here[0] - here[1], limits)
+    if faded is not None:
+        return _followed_by(trajectory, now, begin, here[0][:, None], faded, begin, _CLOSE)
     joins = begin + BLENDS
     before = _states(trajectory, np.full_like(joins, begin))
     after = _states(chunk, joins - start)
@@ -90,6 +97,28 @@ def continued(trajectory: TimedTrajectory, now: float, other: TimedTrajectory, s
             code="start_state_mismatch",
         )
     return _followed_by(trajectory, now, start, here[1][:, None], other.begun_at(start), start, _CLOSE)
+
+
+def _faded(chunk: TimedTrajectory, begin: float, offset: Array, limits: Limits) -> TimedTrajectory | None:
+    """`chunk` with an offset (3, J) at `begin` (s) that fades away; None if that needs more than _SMALL, or longer than the chunk."""
+    offsets = np.repeat(offset[:, None], len(BLENDS), axis=1)
+    curve = fading = coefficients(offsets, np.zeros_like(offsets), BLENDS)
+    inside = begin + BLENDS < chunk.duration - _APART
+    for limit in (limits.velocity, limits.acceleration, limits.jerk):
+        curve = derivative(curve) / BLENDS[:, None]
+        inside &= (np.abs(control_points(curve)).max(axis=0) <= _SMALL * limit).all(axis=1)
+    if not inside.any():
+        return None
+    first = int(inside.argmax())
+    took = float(BLENDS[first])
+    later = chunk.time[np.abs(chunk.time - begin - took) > _APART]
+    times = np.sort(np.append(later[later > begin + _CLOSE], begin + took))
+    rows = chunk.sample(times)
+    fades = times < begin + took
+    off = states(fading[:, first, None], ((times[fades] - begin) / took)[:, None])
+    for power, each in enumerate(off):
+        rows[power, fades] += each / took**power
+    return TimedTrajectory(times, *rows)
 
 
 def _by_rest(

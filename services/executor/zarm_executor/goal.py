@@ -50,7 +50,7 @@ class Goal:
     none was known. `verified` is the revision in which the trajectory was verified, or None; `number` counts its
     trajectories. If `replan` is set, the servo may replace the trajectory, also by one to other joints if the goal is
     the pose `tip`, and one that keeps the `path_constraint`. `segments` are the times (s) at which those of a program begin, `touches` where it may touch objects,
-    `openings` those of the grippers with which it was verified, and `stops` where it rests until a gripper has moved or an output is
+    `openings` those of the grippers with which it was verified, `begun` since when its time counts (s, monotonic), if not from its start, and `stops` where it rests until a gripper has moved or an output is
     switched. `monitor` watches the motion.
     """
 
@@ -68,6 +68,7 @@ class Goal:
     segments: tuple[float, ...] = ()
     touches: tuple[Touch, ...] = ()
     openings: Openings = ()
+    begun: float | None = None
     stops: tuple[GripStop | OutputStop, ...] = ()
 
     @property

@@ -21,11 +21,12 @@ from zarm_contract.messages import (
     PlannedGrip,
 )
 from zarm_contract.robot import RobotDescription
-from zarm_contract.strategies import DRIVER_STRATEGIES
+from zarm_contract.strategies import DRIVER_STRATEGIES, EXECUTORS
 from zarm_executor.grip_stop import GripStop
 from zarm_executor.gripper_control import GripperControl
 from zarm_executor.gripper_links import DrivenGripper, EmulatedGripper
 from zarm_executor.machine import Machine
+from zarm_executor.member_gripper import MemberGripper
 from zarm_runtime.bus import Bus
 from zarm_runtime.state_file import StateFile
 
@@ -64,6 +65,12 @@ class Grippers:
         self._driven = {
             name: DrivenGripper(bus, keys, name, gripper)
             for name, gripper in (self._grippers.items() if descriptor.strategy_params is not None else ())
+        }
+        self._of_members = {
+            name: MemberGripper(bus, robot_name, name.removeprefix(f"{group}_"), gripper)
+            for group, robot_name in descriptor.executors.items()
+            for name, gripper in self._grippers.items()
+            if name.startswith(f"{group}_")
         }
         self._controls = {
             name: GripperControl(name, gripper, None, gripper.touch_links(robot.urdf))
@@ -119,6 +126,8 @@ class Grippers:
         for name, control in self._controls.items():
             if strategy == "emulator":
                 control.switch(self._emulated[name])
+            elif strategy == EXECUTORS:
+                control.switch(self._of_members.get(name))
             else:
                 control.switch(self._driven.get(name) if strategy in DRIVER_STRATEGIES else None)
 

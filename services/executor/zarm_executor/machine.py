@@ -13,6 +13,7 @@ from __future__ import annotations
 import logging
 import math
 import threading
+import time
 from collections import deque
 
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, ExecutionRefused, Problem, Unavailable
@@ -102,6 +103,7 @@ class Machine:
             self.admit()
             motion = GoalExecution(goal, self._strategy, self._guard, self.changes)
             motion.start(self._speed_scale)
+            self._clock.begin(time.monotonic() if goal.begun is None else goal.begun)
             self._motion = motion
             self._begun.notify_all()
             if self._problem is not None:
@@ -450,6 +452,7 @@ class Machine:
 
     def _rest(self, motion: GoalExecution, ended: Outcome) -> None:
         self._motion = None
+        self._strategy.end()
         if ended.fault:
             self._problem, self._faulty = ended.problem, motion
         self._rested.notify_all()

@@ -17,6 +17,7 @@ from zarm_executor.goal import Chunk, Goal
 from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.reporter import Reporter
+from zarm_executor.tick_clock import EARLIEST
 from zarm_trajectory.blending import blended
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
@@ -69,7 +70,8 @@ class Streams:
                 trajectory = blended(TimedTrajectory.standing(at.position), 0.0, trajectory, 0.0, self._limits)
                 monitor = Monitor(trajectory, self._robot.descriptor)
                 piece = self._chunk(chunk, trajectory, received)
-                turn.start(Goal(chunk.goal_id, None, trajectory, monitor, piece.scene, chunk=piece))
+                begun = _begun(chunk)
+                turn.start(Goal(chunk.goal_id, None, trajectory, monitor, piece.scene, chunk=piece, begun=begun))
         except ZarmError as error:
             self._refuse(chunk, error)
 
@@ -112,3 +114,14 @@ class Streams:
         self._known[goal_id] = logged
         if len(self._known) > REMEMBERED:
             self._known.popitem(last=False)
+
+
+def _begun(chunk: StreamChunk) -> float | None:
+    """Since when (s, monotonic) the time of a stream counts; None if it says nothing, or another clock is far off."""
+    if chunk.begin_at is None:
+        return None
+    since = time.time() - chunk.begin_at
+    if 0.0 <= since <= EARLIEST:
+        return time.monotonic() - since
+    log.warning("a stream begins when it arrives, its clock is off goal_id=%s since=%.3f", chunk.goal_id, since)
+    return None

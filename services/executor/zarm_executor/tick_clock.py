@@ -10,6 +10,8 @@ s. A cancel of an earlier request may then not have arrived.
 """
 _BACKLOG_TIME = 0.5
 """For this long (s) after that, arriving requests may be old."""
+EARLIEST = 0.05
+"""How long (s) before its first command a motion may have begun: time that is caught up at once."""
 
 
 class TickClock:
@@ -22,15 +24,23 @@ class TickClock:
         """The time of the latest tick."""
         self.missed = 0
         """The number of missed ticks."""
+        self._begun: float | None = None
 
     def advance(self, now: float) -> float:
-        """A tick at `now`; returns the time (s) since the one before, 0 for the first."""
+        """A tick at `now`; returns the time (s) since the one before, or since a motion has begun; 0 for the first."""
         dt = 0.0 if math.isinf(self.now) else now - self.now
         self.now = now
         if dt > _SUSPENSION:
             self._resumed_at = now
         self.missed += max(0, round(dt / self._period) - 1)
+        if self._begun is not None:
+            dt, self._begun = max(now - self._begun, 0.0), None
         return dt
+
+    def begin(self, at: float) -> None:
+        """A motion begins at `at`, before the next tick: its time counts from then on."""
+        if abs(at - self.now) < EARLIEST + self._period:
+            self._begun = at
 
     def suspended(self, now: float) -> bool:
         """The loop stood still until just now, so that a request arriving at `now` may be old."""

@@ -210,6 +210,9 @@ class StreamChunk(Message):
     time runs as the robot moves: slower under a lower speed scale. Each trajectory ends at rest. If no chunk arrives within
     `deadline` (s) of this one, the robot brakes and the goal ends `aborted` with `timeout`. A chunk with `last` has no
     deadline; at its end the goal has succeeded. A chunk that cannot be executed ends the goal `aborted` too.
+
+    With `begin_at` (Unix s) in the first chunk the time of the stream counts from that time of day, at most 0.05 s before the robot begins: several
+    robots whose clocks agree then move in step.
     """
 
     goal_id: Name
@@ -218,6 +221,7 @@ class StreamChunk(Message):
     trajectory: Trajectory
     deadline: Annotated[Positive, Field(le=1)] = 0.1
     last: bool = False
+    begin_at: float | None = None
 
 
 class ExecutorState(Message):

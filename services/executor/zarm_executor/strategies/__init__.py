@@ -12,6 +12,8 @@ from zarm_contract.strategies import DRIVER_STRATEGIES
 from zarm_executor.strategies.driver import DriverStrategy
 from zarm_executor.strategies.driver_link import DriverLink
 from zarm_executor.strategies.emulator import EmulatedRobot, Emulator
+from zarm_executor.strategies.executors import Executors
+from zarm_executor.strategies.executors_link import ExecutorsLink
 from zarm_executor.strategies.ghost import GhostOnly
 from zarm_executor.strategies.registry import StrategyRegistry
 from zarm_runtime.bus import Bus
@@ -26,6 +28,8 @@ def build_strategies(robot: RobotDescription, folder: Path, bus: Bus, keys: Keys
     registry = StrategyRegistry()
     registry.add(Emulator(emulated, RateLimits.of(descriptor)))
     registry.add(GhostOnly(emulated))
+    if descriptor.executors:
+        registry.add(Executors(ExecutorsLink(bus, descriptor)))
     params = descriptor.strategy_params
     link = None if params is None else DriverLink(bus, keys, robot, params)
     for name in DRIVER_STRATEGIES:

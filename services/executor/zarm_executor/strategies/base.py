@@ -91,6 +91,9 @@ class Strategy(ABC):
         The path speed changes to it inside the limits of acceleration and jerk.
         """
 
+    def end(self) -> None:  # noqa: B027 - most strategies have nothing to do
+        """The motion has ended, and nothing goes on from here: the goal is over."""
+
     @abstractmethod
     def tick(self, now: float, dt: float) -> None:
         """One period of the control loop: `now` on the monotonic clock, `dt` s since the last one.

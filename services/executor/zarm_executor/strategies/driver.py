@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from zarm_contract.errors import Unavailable
 from zarm_executor.strategies.base import Measured, Strategy
-from zarm_executor.strategies.driver_link import DriverLink
+from zarm_executor.strategies.robot_link import RobotLink
 
 HOLD_PERIOD = 0.1
 """A stopped robot is told to stop again at this interval (s) until it stands."""
 
 
 class DriverStrategy(Strategy):
-    """Reads the robot through a link. It opens only if the driver reports the robot's joints, and stops the robot
+    """Reads the robot through a link. It opens only if the robot's driver reports the robot's joints, and stops the robot
     first.
     """
 
-    def __init__(self, link: DriverLink) -> None:
+    def __init__(self, link: RobotLink) -> None:
         self.link = link
         self._held_at = 0.0
         self._emptied = False

@@ -13,18 +13,14 @@ from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand
 from zarm_contract.robot import RobotDescription
 from zarm_executor.strategies.base import Measured
+from zarm_executor.strategies.robot_link import RobotLink
 from zarm_runtime.bus import Bus
-from zarm_trajectory.quintic import Array
-from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_trajectory.turns import whole_turns
 
 log = logging.getLogger(__name__)
 
 
-_STILL = 5e-4
-_STANDING = 0.1
-"""A robot stands if it has not moved by more than the first (rad) for the second (s): 0.005 rad/s."""
 _PASSING_ON = 5e-5
 """Time (s) to write one point, send it over 100 Mbit/s and read it, so that a long trajectory does not count as late.
 """
@@ -32,8 +28,8 @@ _CLOCK_PATIENCE = 1.0
 """How long (s) after a silence the stamps may mark joints as old; delayed messages arrive within milliseconds."""
 
 
-class DriverLink:
-    """Speaks to the driver that `params` describes. `joints` are in the executor's order; the driver has its own.
+class DriverLink(RobotLink):
+    """Speaks to the driver that `params` describes, which has an order of joints of its own.
 
     A driver may report a continuous joint within one turn, and begin another turn at its limit. So `measured` goes on
     counting turns from the joints before, while what is sent goes on from the turn that the driver reports at `begin`.
@@ -42,15 +38,9 @@ class DriverLink:
     """
 
     def __init__(self, bus: Bus, keys: Keys, robot: RobotDescription, params: StrategyParams) -> None:
-        descriptor = robot.descriptor
-        self.params = params
+        super().__init__(robot.descriptor, params)
         self._continuous = robot.continuous
-        self._turns = self._begun_at = np.zeros(len(descriptor.joints))
-        self.execution = descriptor.execution
-        self.joints = descriptor.joints
-        self.limits = RateLimits.of(descriptor)
-        self.velocity_clamp = np.array(params.velocity or descriptor.cspace.velocity)
-        self.acceleration_clamp = np.array(params.acceleration or descriptor.cspace.acceleration)
+        self._turns = self._begun_at = np.zeros(len(self.joints))
         self._names = params.joint_order or self.joints
         self._columns = [self.joints.index(name) for name in self._names]
         self._key = keys.driver_joint_states
@@ -62,7 +52,6 @@ class DriverLink:
         self._measured: Measured | None = None
         self._stamp: float | None = None
         self._held_up_since: float | None = None
-        self._stood: Measured | None = None
         self._orders: dict[tuple[str, ...], list[int] | None] = {}
 
     # -- to the driver --
@@ -130,8 +119,7 @@ class DriverLink:
                 position = position + self._turns
             effort = None if state.effort is None else np.array(state.effort)[order]
             self._measured = Measured(position, velocity, at, state.stamp, effort)
-            if self._stood is None or np.any(np.abs(self._measured.position - self._stood.position) > _STILL):
-                self._stood = self._measured
+            self._note(self._measured)
         return self._measured
 
     def _held_up(self, stamp: float, at: float) -> bool:
@@ -150,31 +138,6 @@ class DriverLink:
         if self._held_up_since is None:
             self._held_up_since = at
         return at - self._held_up_since <= _CLOCK_PATIENCE
-
-    def is_reporting(self, now: float) -> bool:
-        """Whether the driver is heard: its newest joints are fresh at `now`, on the monotonic clock.
-
-        Otherwise it is sent only stops: anything else might be held up as long, and played then.
-        """
-        measured = self.measured()
-        return measured is not None and now - measured.time <= self.execution.joint_state_timeout
-
-    def velocity(self) -> Array:
-        """The measured velocities (J,), clamped to those that may be sent to the driver.
-
-        Zero if they are old: a motion from before a silence must not start again after it.
-        """
-        measured = self.measured()
-        old = measured is None or time.monotonic() - measured.time > self.execution.joint_state_timeout
-        reported = np.zeros_like(self.velocity_clamp) if measured is None or old else measured.velocity
-        return np.clip(reported, -self.velocity_clamp, self.velocity_clamp)
-
-    def standing(self) -> bool:
-        """Whether the robot stands, judged by its velocities and, because some drivers report none, by its positions."""
-        measured = self.measured()
-        if measured is None or self._stood is None or measured.time - self._stood.time < _STANDING:
-            return False
-        return bool(np.all(np.abs(measured.velocity) <= self.execution.stopped_velocity))
 
     def fraction(self, sequence: int) -> float | None:
         """The played fraction of the command `sequence`; None if the driver has not reported on it."""

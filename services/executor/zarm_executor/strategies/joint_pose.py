@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from zarm_executor.strategies.driver_link import DriverLink
 from zarm_executor.strategies.streaming import Streaming
 from zarm_trajectory.retimed import RetimedTrajectory
 
@@ -10,6 +11,7 @@ class JointPose(Streaming):
     """Sends chunks of positions; the driver closes the loop."""
 
     name = "joint_pose"
+    link: DriverLink
 
     def _send(self, ahead: RetimedTrajectory, now: float, played: int) -> bool:
         self.link.send(ahead.points, positions_only=True)

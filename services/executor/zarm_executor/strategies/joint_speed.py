@@ -23,6 +23,7 @@ class JointSpeed(Streaming):
     """Sends chunks of velocities that change no faster than `strategy_params.acceleration`."""
 
     name = "joint_speed"
+    link: DriverLink
 
     def __init__(self, link: DriverLink) -> None:
         super().__init__(link)

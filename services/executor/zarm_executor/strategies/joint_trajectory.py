@@ -45,6 +45,7 @@ class JointTrajectory(DriverStrategy):
     """
 
     name = "joint_trajectory"
+    link: DriverLink
 
     def __init__(self, link: DriverLink) -> None:
         super().__init__(link)

@@ -14,8 +14,8 @@ import numpy as np
 
 from zarm_executor.strategies.base import Progress, Steerable
 from zarm_executor.strategies.driver import DriverStrategy
-from zarm_executor.strategies.driver_link import DriverLink
 from zarm_executor.strategies.reference import Commanded, Reference
+from zarm_executor.strategies.robot_link import RobotLink
 from zarm_trajectory.follower import CATCH_UP, TICK, Follower
 from zarm_trajectory.path_state import PathState
 from zarm_trajectory.retimed import RetimedTrajectory
@@ -39,7 +39,7 @@ class Streaming(DriverStrategy, Steerable):
     The robot is expected to be `delay` behind the command; `progress` reports its expected place.
     """
 
-    def __init__(self, link: DriverLink) -> None:
+    def __init__(self, link: RobotLink) -> None:
         super().__init__(link)
         params = link.params
         self._dt, self._period, self._delay = params.point_dt, params.chunk_period, params.delay
@@ -128,7 +128,12 @@ class Streaming(DriverStrategy, Steerable):
         if self._lost_at is not None:
             self._rest_where_found(follower, now)
             return
-        if self._sent_at is not None:
+        if self._sent_at is None:
+            if not follower.trajectory.at(follower.time + dt)[
+                1:
+            ].any():  # a rest at the beginning counts from the start
+                follower.advance(min(dt, CATCH_UP))
+        else:
             if self._away is not None:
                 pause, self._away = self._away[1], None
                 follower = self._picked_up(follower, now, pause)
