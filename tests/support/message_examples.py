@@ -483,7 +483,9 @@ EXAMPLES: tuple[Message, ...] = (
     m.StrategyRequest(strategy="joint_speed"),
     m.SpeedRequest(speed_scale=0.25),
     m.Speed(speed_scale=0.25),
-    m.StreamChunk(goal_id="follow.1", sequence=2, start=0.4, trajectory=_TRAJECTORY, deadline=0.2, last=True, begin_at=1.25),
+    m.StreamChunk(
+        goal_id="follow.1", sequence=2, start=0.4, trajectory=_TRAJECTORY, deadline=0.2, last=True, begin_at=1.25
+    ),
     # servo
     m.Authority(
         servo="0a1b2c3d",

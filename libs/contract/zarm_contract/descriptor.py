@@ -277,7 +277,7 @@ class RobotDescriptor(Section):
             for name, group in self.groups.items()
             for key, fault in group.faults(self.groups)
         ]
-        faults += [f"executors.{fault}" for fault in self._executor_faults()]
+        faults += self._executor_faults()
         if self.strategy_params is not None:
             faults += [f"strategy_params.{fault}" for fault in self.strategy_params.faults(self.joints)]
             period, chunk = self.execution.control_period, self.strategy_params.chunk_period
@@ -294,10 +294,13 @@ class RobotDescriptor(Section):
     def _executor_faults(self) -> Iterator[str]:
         for group in self.executors:
             if group not in self.groups:
-                yield f"{group}: there is no such group; the groups are {', '.join(self.groups) or 'none'}"
+                yield f"executors.{group}: there is no such group; the groups are {', '.join(self.groups) or 'none'}"
         if len(set(self.executors.values())) < len(self.executors):
-            yield "a robot is named twice; each group has an executor of its own"
+            yield "executors: a robot is named twice; each group has an executor of its own"
         for joint in self.joints if self.executors else ():
             owners = [group for group in self.executors if joint.startswith(f"{group}_")]
             if len(owners) != 1:
-                yield f"{joint} must begin with the name of one of the groups {', '.join(self.executors)} and _, so that it is known whose it is"
+                yield (
+                    f"executors: {joint} must begin with the name of one of the groups {', '.join(self.executors)} and _, so that it is known "
+                    "whose it is"
+                )

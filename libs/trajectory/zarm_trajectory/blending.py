@@ -100,7 +100,9 @@ def continued(trajectory: TimedTrajectory, now: float, other: TimedTrajectory, s
 
 
 def _faded(chunk: TimedTrajectory, begin: float, offset: Array, limits: Limits) -> TimedTrajectory | None:
-    """`chunk` with an offset (3, J) at `begin` (s) that fades away; None if that needs more than _SMALL, or longer than the chunk."""
+    """`chunk` with an offset (3, J) at `begin` (s) that fades away; None if that needs more than _SMALL, or longer than the chunk,
+    or if both together are outside the limits.
+    """
     offsets = np.repeat(offset[:, None], len(BLENDS), axis=1)
     curve = fading = coefficients(offsets, np.zeros_like(offsets), BLENDS)
     inside = begin + BLENDS < chunk.duration - _APART
@@ -118,6 +120,11 @@ def _faded(chunk: TimedTrajectory, begin: float, offset: Array, limits: Limits) 
     off = states(fading[:, first, None], ((times[fades] - begin) / took)[:, None])
     for power, each in enumerate(off):
         rows[power, fades] += each / took**power
+    until = int(fades.sum()) + 1
+    try:
+        limits.check(TimedTrajectory(times[:until], *rows[:, :until]))
+    except ExecutionRefused:
+        return None
     return TimedTrajectory(times, *rows)
 
 

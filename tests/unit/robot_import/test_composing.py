@@ -152,3 +152,43 @@ def test_a_composition_that_is_no_robot_replaces_nothing(tmp_path: Path) -> None
         compose(file, made.parent, overwrite=True)
     assert {file.name: file.read_bytes() for file in made.parent.iterdir()} == before
     assert {*tmp_path.iterdir()} == {file, made.parent}
+
+
+LED = """
+name: cell
+parts:
+  left:  {robot: panda, executor: left_arm, xyz: [0.0,  0.3, 0.0]}
+  right: {robot: panda, executor: right_arm, xyz: [0.0, -0.3, 0.0]}
+"""
+
+
+def test_arms_with_executors_are_led_by_that_of_the_whole(tmp_path: Path) -> None:
+    descriptor, panda = load_robot(str(composed(tmp_path, LED))).descriptor, load_robot("panda").descriptor
+    assert descriptor.executors == {"left": "left_arm", "right": "right_arm"}
+    assert descriptor.strategy == "executors"
+    assert max(descriptor.cspace.acceleration) < 0.95 * max(panda.cspace.acceleration)
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "says"),
+    [
+        (", executor: right_arm", "", "right has no executor, and left has one"),
+        ("right_arm", "left_arm", "a robot is named twice"),
+        ("right_arm", "Right Arm", "executor"),
+    ],
+)
+def test_executors_that_cannot_be_meant_are_refused(tmp_path: Path, was: str, now: str, says: str) -> None:
+    with pytest.raises(InvalidRequest, match=says):
+        composed(tmp_path, LED.replace(was, now))
+
+
+def test_a_joint_that_no_executor_moves_is_named(tmp_path: Path) -> None:
+    path = composed(tmp_path, LED)
+    path.write_text(path.read_text().replace("  right: right_arm\n", ""))
+    with pytest.raises(
+        InvalidRequest, match="right_panda_joint1 must begin with the name of one of the groups left and _"
+    ):
+        load_robot(str(path))
+    path.write_text(path.read_text().replace("  left: left_arm\n", "  lift: left_arm\n"))
+    with pytest.raises(InvalidRequest, match="lift: there is no such group"):
+        load_robot(str(path))

@@ -95,6 +95,23 @@ def test_a_chunk_beside_the_motion_is_reached_inside_the_jerk_limit(jerk: float)
     assert change <= jerk * LIMIT_TOLERANCE * times[1] * 1.001
 
 
+@pytest.mark.parametrize("off", [1e-6, 1e-5, 1e-4, 1e-3])
+def test_a_chunk_just_beside_the_motion_is_followed_on_time(off: float) -> None:
+    """A robot that measures its joints is a little off what it was told; it must not fall behind for that."""
+    old, now = swing(0.6, -0.4, slower=1.02), 0.3
+    new = old.since(now).begun_at(-now)
+    beside = replace(new, position=new.position + off)
+    joined = blended(old, now, beside, now, LIMITS)
+    LIMITS.check(joined)
+    assert joined.duration == pytest.approx(old.duration, abs=1e-9)
+    times = np.linspace(now, old.duration, 300)
+    behind = joined.positions(times) - old.positions(times)
+    assert np.abs(behind[0]).max() < 1e-9
+    assert behind.min() > -1e-9
+    assert behind.max() < off + 1e-9
+    np.testing.assert_allclose(joined.end, beside.end, atol=1e-12)
+
+
 def test_a_chunk_out_of_reach_is_refused() -> None:
     with pytest.raises(ExecutionRefused, match=r"0\.5000 rad from the motion") as refusal:
         blended(chunk(0.0), 0.1, chunk(0.1, off=0.5), 0.1, LIMITS)
