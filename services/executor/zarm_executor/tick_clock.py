@@ -10,7 +10,7 @@ s. A cancel of an earlier request may then not have arrived.
 """
 _BACKLOG_TIME = 0.5
 """For this long (s) after that, arriving requests may be old."""
-EARLIEST = 0.05
+EARLIEST = 0.08
 """How long (s) before its first command a motion may have begun: time that is caught up at once."""
 
 

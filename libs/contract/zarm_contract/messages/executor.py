@@ -211,7 +211,7 @@ class StreamChunk(Message):
     `deadline` (s) of this one, the robot brakes and the goal ends `aborted` with `timeout`. A chunk with `last` has no
     deadline; at its end the goal has succeeded. A chunk that cannot be executed ends the goal `aborted` too.
 
-    With `begin_at` (Unix s) in the first chunk the time of the stream counts from that time of day, at most 0.05 s before the robot begins: several
+    With `begin_at` (Unix s) in the first chunk the time of the stream counts from that time of day, at most 0.08 s before the robot begins: several
     robots whose clocks agree then move in step.
     """
 

@@ -34,7 +34,7 @@ class Executors(Streaming):
     def tick(self, now: float, dt: float) -> None:
         """Advance; at rest, keep the stream open."""
         super().tick(now, dt)
-        if self._over:
+        if self._over or self._sent_at is None:
             self._executors.keep(now)
 
     def end(self) -> None:
@@ -46,8 +46,8 @@ class Executors(Streaming):
         self._executors.release()
 
     def _begin(self, now: float) -> float | None:
-        """Not before the executors have ended the stream before."""
-        return super()._begin(now) if self._executors.ready() else None
+        """Not before all executors follow the stream."""
+        return super()._begin(now) if self._executors.opened(self.progress().command, now) else None
 
     def _send(self, ahead: RetimedTrajectory, now: float, played: int) -> bool:
         self._executors.lead(ahead.points, now if self._sent_at is None else self._sent_at + played * self._dt)

@@ -21,10 +21,10 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 POINT_DT = 0.005
 CHUNK_PERIOD = 0.08
-LOOK_AHEAD = 0.08
+LOOK_AHEAD = 0.24
 """Points every s, chunks every s, and how far (s) each goes on beyond the next: as in `StrategyParams`. Without a new chunk the
 robots brake along their paths."""
-_LEAD = 0.03
+_LEAD = 0.05
 """How long (s) before its beginning a chunk is sent, so that all have it by then."""
 _DELAY = _LEAD + 0.01
 """Time (s) from a chunk to the motion, with a tick of the other executor."""
@@ -139,10 +139,7 @@ class ExecutorsLink(RobotLink):
             self._ended_id, self._goal_id = self._goal_id, None
 
     def lead(self, points: TimedTrajectory, begin: float) -> None:
-        """Let all follow these points from the moment `begin` (s, monotonic) on."""
-        if self._goal_id is None:
-            self._goal_id, self._sequence, self._began = f"lead-{secrets.token_hex(6)}", 0, begin
-            self._put(TimedTrajectory.standing(points.start, _LEAD), begin - _LEAD)
+        """Let all follow these points from the moment `begin` (s, monotonic) on, in an open stream."""
         self._end = points.end
         self._put(points, begin)
 
@@ -150,9 +147,17 @@ class ExecutorsLink(RobotLink):
         """The motion is over at `now` (s, monotonic)."""
         self._over_since = now
 
-    def ready(self) -> bool:
-        """Whether a stream is open, or can be opened: none of the robots is still at the end of the last one."""
-        return self._goal_id is not None or not any(member.follows(self._ended_id) for member in self._members)
+    def opened(self, position: Array, now: float) -> bool:
+        """Whether all robots follow the stream; it is opened, with the robots resting at `position` (J,), once none is still at the end of
+        the last one.
+        """
+        if self._goal_id is not None:
+            return all(member.follows(self._goal_id) for member in self._members)
+        if not any(member.follows(self._ended_id) for member in self._members):
+            self._goal_id, self._sequence, self._began = f"lead-{secrets.token_hex(6)}", 0, now
+            self._end = position
+            self._put(TimedTrajectory.standing(position, POINT_DT), now - _LEAD)
+        return False
 
     def keep(self, now: float) -> None:
         """At each tick at rest: keep the stream open, and end it some time after the motion, or when one of the robots has left it."""
