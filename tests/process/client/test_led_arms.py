@@ -140,6 +140,16 @@ def test_an_arm_that_is_not_led_moves_by_itself_and_the_whole_waits_for_it(cell:
     eventually(lambda: abs(cell.whole.joint_state().position[0] - home[0] - 0.2) < ON_PATH, "the whole knows of it")
 
 
+def test_one_arm_joins_in_while_the_other_is_led(cell: LedCell) -> None:
+    first = cell.whole.plan(zarm.Pose((0.5, 0.45, 0.3), DOWN), group="left", velocity_scale=0.1, acceleration_scale=0.1)
+    cell.whole.start(first)
+    under_way(cell, first)
+    cell.whole.execute_alongside(zarm.Pose((0.45, -0.5, 0.5), DOWN), group="right")
+    assert cell.whole.tip("left").position == pytest.approx((0.5, 0.45, 0.3), abs=ON_PATH)
+    assert cell.whole.tip("right").position == pytest.approx((0.45, -0.5, 0.5), abs=ON_PATH)
+    assert cell.off_path(first)["left_arm"] < ON_PATH
+
+
 def test_the_grippers_are_those_of_the_arms(cell: LedCell) -> None:
     cell.whole.gripper.move(0.03, gripper="right_hand")
     assert cell.clients["right_arm"].gripper.state("hand").width == pytest.approx(0.03, abs=1e-3)

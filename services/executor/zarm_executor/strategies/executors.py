@@ -46,8 +46,10 @@ class Executors(Streaming):
         self._executors.release()
 
     def _begin(self, now: float) -> float | None:
-        """Not before all executors follow the stream."""
-        return super()._begin(now) if self._executors.opened(self.progress().command, now) else None
+        """The first chunk of a motion not before all executors follow the stream; one that brakes, to those that still do."""
+        if self._sent_at is None and not self._executors.opened(self.progress().command, now):
+            return None
+        return super()._begin(now)
 
     def _send(self, ahead: RetimedTrajectory, now: float, played: int) -> bool:
         self._executors.lead(ahead.points, now if self._sent_at is None else self._sent_at + played * self._dt)

@@ -19,11 +19,13 @@ from zarm_runtime.bus import Bus
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
-POINT_DT = 0.005
-CHUNK_PERIOD = 0.08
-LOOK_AHEAD = 0.24
-"""Points every s, chunks every s, and how far (s) each goes on beyond the next: as in `StrategyParams`. Without a new chunk the
-robots brake along their paths."""
+_POINT_DT = 0.005
+"""Time (s) between two points: at 0.02 s, what lies between them would need up to 16 % more acceleration than they have."""
+_CHUNK_PERIOD = 0.08
+_LOOK_AHEAD = 0.24
+"""A chunk every s, and how far (s) each goes on beyond the next: one that comes so late does no harm. Without a new chunk the robots
+brake along their paths.
+"""
 _LEAD = 0.05
 """How long (s) before its beginning a chunk is sent, so that all have it by then."""
 _DELAY = _LEAD + 0.01
@@ -116,9 +118,9 @@ class ExecutorsLink(RobotLink):
         params = StrategyParams(
             command_topic="none",
             joint_states_topic="none",
-            point_dt=POINT_DT,
-            chunk_period=CHUNK_PERIOD,
-            look_ahead=LOOK_AHEAD,
+            point_dt=_POINT_DT,
+            chunk_period=_CHUNK_PERIOD,
+            look_ahead=_LOOK_AHEAD,
             delay=_DELAY,
         )
         super().__init__(descriptor, params)
@@ -156,7 +158,7 @@ class ExecutorsLink(RobotLink):
         if not any(member.follows(self._ended_id) for member in self._members):
             self._goal_id, self._sequence, self._began = f"lead-{secrets.token_hex(6)}", 0, now
             self._end = position
-            self._put(TimedTrajectory.standing(position, POINT_DT), now - _LEAD)
+            self._put(TimedTrajectory.standing(position, _POINT_DT), now - _LEAD)
         return False
 
     def keep(self, now: float) -> None:
@@ -177,7 +179,7 @@ class ExecutorsLink(RobotLink):
 
     def _rest(self, now: float, *, last: bool) -> None:
         """Let all rest where the last chunk ends; with `last`, end the stream."""
-        self._put(TimedTrajectory.standing(self._end, POINT_DT), now, last=last)
+        self._put(TimedTrajectory.standing(self._end, _POINT_DT), now, last=last)
         if last:
             self._ended_id, self._goal_id = self._goal_id, None
 
