@@ -213,7 +213,8 @@ def _descriptor_text(composition: Composition, robots: Mapping[str, RobotDescrip
             share = _LED if part.executor is not None and limit == "acceleration" else 1.0
             whole["cspace"][limit] += [round(share * each, 6) for each in own["cspace"][limit]]
         if part.executor is not None:
-            whole["executors"][name] = part.executor
+            delay = 0.0 if described.strategy_params is None else described.strategy_params.delay
+            whole["executors"][name] = {"robot": part.executor, "delay": delay}
         whole["groups"][name] = {"tip_link": tip}
         if part.on is not None:
             whole["groups"][name]["joints"] = joints

@@ -67,8 +67,8 @@ class Grippers:
             for name, gripper in (self._grippers.items() if descriptor.strategy_params is not None else ())
         }
         self._of_members = {
-            name: MemberGripper(bus, robot_name, name.removeprefix(f"{group}_"), gripper)
-            for group, robot_name in descriptor.executors.items()
+            name: MemberGripper(bus, led.robot, name.removeprefix(f"{group}_"), gripper)
+            for group, led in descriptor.executors.items()
             for name, gripper in self._grippers.items()
             if name.startswith(f"{group}_")
         }

@@ -34,7 +34,7 @@ class Monitor:
         self._joints = robot.joints
         self._execution = robot.execution
         self.faults = robot.execution.faults
-        delay = 0.0 if robot.strategy_params is None else robot.strategy_params.delay
+        delay = 0.0 if robot.command_timing is None else robot.command_timing.delay
         limits = robot.cspace
         alone = max(v / a + a / j for v, a, j in zip(limits.velocity, limits.acceleration, limits.jerk, strict=True))
         self._stopping = BRAKING * alone + delay + robot.execution.settle_time

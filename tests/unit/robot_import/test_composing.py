@@ -164,7 +164,14 @@ parts:
 
 def test_arms_with_executors_are_led_by_that_of_the_whole(tmp_path: Path) -> None:
     descriptor, panda = load_robot(str(composed(tmp_path, LED))).descriptor, load_robot("panda").descriptor
-    assert descriptor.executors == {"left": "left_arm", "right": "right_arm"}
+    assert {group: led.robot for group, led in descriptor.executors.items()} == {
+        "left": "left_arm",
+        "right": "right_arm",
+    }
+    own = panda.strategy_params.delay  # type: ignore[union-attr]
+    assert all(led.delay == own for led in descriptor.executors.values())
+    assert descriptor.command_timing is not None
+    assert descriptor.command_timing.delay > own
     assert descriptor.strategy == "executors"
     assert max(descriptor.cspace.acceleration) < 0.95 * max(panda.cspace.acceleration)
 
@@ -184,11 +191,11 @@ def test_executors_that_cannot_be_meant_are_refused(tmp_path: Path, was: str, no
 
 def test_a_joint_that_no_executor_moves_is_named(tmp_path: Path) -> None:
     path = composed(tmp_path, LED)
-    path.write_text(path.read_text().replace("  right: right_arm\n", ""))
+    path.write_text(path.read_text().replace("  right:\n    robot: right_arm\n    delay: 0.06\n", ""))
     with pytest.raises(
         InvalidRequest, match="right_panda_joint1 must begin with the name of one of the groups left and _"
     ):
         load_robot(str(path))
-    path.write_text(path.read_text().replace("  left: left_arm\n", "  lift: left_arm\n"))
+    path.write_text(path.read_text().replace("  left:\n    robot: left_arm\n", "  lift:\n    robot: left_arm\n"))
     with pytest.raises(InvalidRequest, match="lift: there is no such group"):
         load_robot(str(path))

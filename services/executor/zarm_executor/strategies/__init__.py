@@ -28,8 +28,8 @@ def build_strategies(robot: RobotDescription, folder: Path, bus: Bus, keys: Keys
     registry = StrategyRegistry()
     registry.add(Emulator(emulated, RateLimits.of(descriptor)))
     registry.add(GhostOnly(emulated))
-    if descriptor.executors:
-        registry.add(Executors(ExecutorsLink(bus, descriptor)))
+    if descriptor.executors and descriptor.command_timing is not None:
+        registry.add(Executors(ExecutorsLink(bus, descriptor, descriptor.command_timing)))
     params = descriptor.strategy_params
     link = None if params is None else DriverLink(bus, keys, robot, params)
     for name in DRIVER_STRATEGIES:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from zarm_contract.descriptor import RobotDescriptor, StrategyParams
+from zarm_contract.descriptor import CommandTiming, RobotDescriptor
 from zarm_contract.keys import Keys
 from zarm_contract.messages import ExecutorState, GoalState, StreamChunk
 from zarm_executor.clocks import time_of_day
@@ -19,17 +19,8 @@ from zarm_runtime.bus import Bus
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
-_POINT_DT = 0.005
-"""Time (s) between two points: at 0.02 s, what lies between them would need up to 16 % more acceleration than they have."""
-_CHUNK_PERIOD = 0.08
-_LOOK_AHEAD = 0.24
-"""A chunk every s, and how far (s) each goes on beyond the next: one that comes so late does no harm. Without a new chunk the robots
-brake along their paths.
-"""
 _LEAD = 0.05
-"""How long (s) before its beginning a chunk is sent, so that all have it by then."""
-_DELAY = _LEAD + 0.01
-"""Time (s) from a chunk to the motion, with a tick of the other executor."""
+"""How long (s) before its beginning a chunk is sent, so that all have it by then: part of the delay in `CommandTiming`."""
 _DEADLINE = 0.5
 """Time (s) after which a robot that gets no chunk gives up the stream; it rests long before."""
 _REPEATED = 0.1
@@ -114,17 +105,11 @@ class ExecutorsLink(RobotLink):
     robot has been at rest for a while.
     """
 
-    def __init__(self, bus: Bus, descriptor: RobotDescriptor) -> None:
-        params = StrategyParams(
-            command_topic="none",
-            joint_states_topic="none",
-            point_dt=_POINT_DT,
-            chunk_period=_CHUNK_PERIOD,
-            look_ahead=_LOOK_AHEAD,
-            delay=_DELAY,
-        )
-        super().__init__(descriptor, params)
-        self._members = [_Member(bus, group, name, descriptor.joints) for group, name in descriptor.executors.items()]
+    def __init__(self, bus: Bus, descriptor: RobotDescriptor, timing: CommandTiming) -> None:
+        super().__init__(descriptor, timing)
+        self._members = [
+            _Member(bus, group, led.robot, descriptor.joints) for group, led in descriptor.executors.items()
+        ]
         self._measured: Measured | None = None
         self._goal_id: str | None = None
         self._ended_id: str | None = None
@@ -158,7 +143,7 @@ class ExecutorsLink(RobotLink):
         if not any(member.follows(self._ended_id) for member in self._members):
             self._goal_id, self._sequence, self._began = f"lead-{secrets.token_hex(6)}", 0, now
             self._end = position
-            self._put(TimedTrajectory.standing(position, _POINT_DT), now - _LEAD)
+            self._put(TimedTrajectory.standing(position, self.timing.point_dt), now - _LEAD)
         return False
 
     def keep(self, now: float) -> None:
@@ -179,7 +164,7 @@ class ExecutorsLink(RobotLink):
 
     def _rest(self, now: float, *, last: bool) -> None:
         """Let all rest where the last chunk ends; with `last`, end the stream."""
-        self._put(TimedTrajectory.standing(self._end, _POINT_DT), now, last=last)
+        self._put(TimedTrajectory.standing(self._end, self.timing.point_dt), now, last=last)
         if last:
             self._ended_id, self._goal_id = self._goal_id, None
 

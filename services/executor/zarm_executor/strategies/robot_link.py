@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from zarm_contract.descriptor import RobotDescriptor, StrategyParams
+from zarm_contract.descriptor import CommandTiming, RobotDescriptor
 from zarm_executor.strategies.base import Measured
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.rate_bounds import RateLimits
@@ -18,15 +18,15 @@ _STANDING = 0.1
 
 
 class RobotLink(ABC):
-    """The robot of a descriptor, to which one speaks as `params` say. `joints` are in the executor's order."""
+    """The robot of a descriptor, which commands reach with this `timing`. `joints` are in the executor's order."""
 
-    def __init__(self, descriptor: RobotDescriptor, params: StrategyParams) -> None:
-        self.params = params
+    def __init__(self, descriptor: RobotDescriptor, timing: CommandTiming) -> None:
+        self.timing = timing
         self.execution = descriptor.execution
         self.joints = descriptor.joints
         self.limits = RateLimits.of(descriptor)
-        self.velocity_clamp = np.array(params.velocity or descriptor.cspace.velocity)
-        self.acceleration_clamp = np.array(params.acceleration or descriptor.cspace.acceleration)
+        self.velocity_clamp = np.array(descriptor.cspace.velocity)
+        self.acceleration_clamp = np.array(descriptor.cspace.acceleration)
         self._stood: Measured | None = None
 
     @abstractmethod

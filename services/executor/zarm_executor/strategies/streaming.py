@@ -41,9 +41,8 @@ class Streaming(DriverStrategy, Steerable):
 
     def __init__(self, link: RobotLink) -> None:
         super().__init__(link)
-        params = link.params
-        self._dt, self._period, self._delay = params.point_dt, params.chunk_period, params.delay
-        self._count = round((params.chunk_period + params.look_ahead) / params.point_dt)
+        self._dt, self._period, look_ahead, self._delay = link.timing
+        self._count = round((self._period + look_ahead) / self._dt)
         self._follower: Follower | None = None
         self._memory = self._delay + self.link.execution.joint_state_timeout + CATCH_UP
         self._reference = Reference(self._memory)

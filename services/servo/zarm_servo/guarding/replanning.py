@@ -78,7 +78,7 @@ class Replanner:
         metrics: Metrics,
     ) -> None:
         self._robot, self._joints = robot, robot.descriptor.joints
-        self._strategy_params = robot.descriptor.strategy_params
+        self._timing = robot.descriptor.command_timing
         self._velocity, self._limits = np.array(robot.descriptor.cspace.velocity), RateLimits.of(robot.descriptor)
         self._reaction = reaction(robot.descriptor)
         self._ahead = 0.0
@@ -114,8 +114,8 @@ class Replanner:
 
     def _on_state(self, state: ExecutorState) -> None:
         """Take the robot's share of the planned speed, and how far (s) the command is ahead of the reported progress."""
-        self._speed_scale, params = state.speed_scale, self._strategy_params
-        self._ahead = 0.0 if params is None or state.strategy == "emulator" else params.delay + params.point_dt
+        self._speed_scale, timing = state.speed_scale, self._timing
+        self._ahead = 0.0 if timing is None or state.strategy == "emulator" else timing.delay + timing.point_dt
 
     def on_goal(self, goal: GoalState) -> None:
         """Take a goal's progress."""

@@ -28,10 +28,10 @@ def reaction(descriptor: RobotDescriptor) -> float:
     If `execution.guard` is required, this also holds if the servo dies at that moment, which is noticed after
     `guard_timeout`.
     """
-    execution, driver = descriptor.execution, descriptor.strategy_params
+    execution, commands = descriptor.execution, descriptor.command_timing
     time = _REACTION_TIME + _TICKS * execution.control_period
-    if driver is not None:
-        time += driver.delay + driver.chunk_period + driver.look_ahead
+    if commands is not None:
+        time += commands.delay + commands.chunk_period + commands.look_ahead
     return time + (execution.guard_timeout if execution.guard == "required" else 0.0)
 
 

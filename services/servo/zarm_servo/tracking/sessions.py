@@ -171,5 +171,5 @@ class Sessions:
 
     def _delay(self, executor: ExecutorState) -> float:
         """How far (s) the executor expects the robot to be behind the command."""
-        params = self._config.robot.descriptor.strategy_params
-        return 0.0 if params is None or executor.strategy == "emulator" else params.delay
+        timing = self._config.robot.descriptor.command_timing
+        return 0.0 if timing is None or executor.strategy == "emulator" else timing.delay
