@@ -21,7 +21,15 @@ from zarm_cli.commands import command_line
 from zarm_contract import messages as every_message
 from zarm_contract.camera import DescribedCamera
 from zarm_contract.collision import CollisionCapsule, CollisionCuboid, CollisionCylinder, CollisionSphere
-from zarm_contract.descriptor import CSpace, ExecutionSettings, Payload, RobotDescriptor, StrategyParams, ToolSpeeds
+from zarm_contract.descriptor import (
+    CSpace,
+    ExecutionSettings,
+    LedRobot,
+    Payload,
+    RobotDescriptor,
+    StrategyParams,
+    ToolSpeeds,
+)
 from zarm_contract.digital_output import DigitalOutput
 from zarm_contract.errors import MEANINGS, Problem, ZarmError
 from zarm_contract.gripper import Gripper
@@ -183,6 +191,7 @@ _SECTIONS = {
     "DigitalOutput": "output",
     "DescribedCamera": "camera",
     "JointGroup": "group",
+    "LedRobot": "led robot",
     "CollisionSphere": "collision sphere",
     "CollisionCapsule": "collision capsule",
     "CollisionCylinder": "collision cylinder",
@@ -377,6 +386,7 @@ def robot() -> Iterator[str]:
         Gripper,
         DigitalOutput,
         JointGroup,
+        LedRobot,
         DescribedCamera,
     )
     for model in (RobotDescriptor, *parts):
