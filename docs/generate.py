@@ -24,7 +24,7 @@ from zarm_contract.collision import CollisionCapsule, CollisionCuboid, Collision
 from zarm_contract.descriptor import (
     CSpace,
     ExecutionSettings,
-    LedRobot,
+    MemberRobot,
     Payload,
     RobotDescriptor,
     StrategyParams,
@@ -191,7 +191,7 @@ _SECTIONS = {
     "DigitalOutput": "output",
     "DescribedCamera": "camera",
     "JointGroup": "group",
-    "LedRobot": "led robot",
+    "MemberRobot": "member of a robot",
     "CollisionSphere": "collision sphere",
     "CollisionCapsule": "collision capsule",
     "CollisionCylinder": "collision cylinder",
@@ -386,7 +386,7 @@ def robot() -> Iterator[str]:
         Gripper,
         DigitalOutput,
         JointGroup,
-        LedRobot,
+        MemberRobot,
         DescribedCamera,
     )
     for model in (RobotDescriptor, *parts):

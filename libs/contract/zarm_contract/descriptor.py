@@ -147,6 +147,11 @@ class StrategyParams(Section):
     stop: Literal["path", "empty"] = "path"
     """`path`: brake along the path. `empty`: send an empty trajectory, so that the driver brakes by itself."""
 
+    @property
+    def timing(self) -> CommandTiming:
+        """When commands reach the robot."""
+        return CommandTiming(self.point_dt, self.chunk_period, self.look_ahead, self.delay)
+
     def faults(self, joints: tuple[str, ...]) -> Iterator[str]:
         """What is wrong beside these joints, as `key: message`."""
         for name, order in (("joint_order", self.joint_order), ("joint_states_order", self.joint_states_order)):
@@ -165,7 +170,7 @@ class StrategyParams(Section):
             )
 
 
-class LedRobot(Section):
+class MemberRobot(Section):
     """A robot that has an executor of its own, as part of a robot that leads it."""
 
     robot: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
@@ -185,7 +190,7 @@ class CommandTiming(NamedTuple):
     delay: float
 
 
-_LED = CommandTiming(point_dt=0.005, chunk_period=0.08, look_ahead=0.24, delay=0.06)
+_TO_EXECUTORS = CommandTiming(point_dt=0.005, chunk_period=0.08, look_ahead=0.24, delay=0.06)
 """Commands to other executors. They begin 0.05 s after they are sent, so that all have them by then, and with the next tick. At points every
 0.02 s, what lies between them would need up to 16 % more acceleration; one that is 0.2 s late does no harm.
 """
@@ -245,7 +250,7 @@ class RobotDescriptor(Section):
     """Maximum time between two samples of a planned trajectory (s)."""
     execution: ExecutionSettings = ExecutionSettings()
     """What the executor checks before and during motion."""
-    executors: dict[GroupName, LedRobot] = Field(default={}, max_length=8)
+    executors: dict[GroupName, MemberRobot] = Field(default={}, max_length=8)
     """For a robot of several robots that have an executor of their own each: by group, that robot. Its joints and grippers are those of the
     group, without `<group>_` in front. The strategy `executors` moves them in step."""
     strategy: str = "emulator"
@@ -319,17 +324,16 @@ class RobotDescriptor(Section):
     def command_timing(self) -> CommandTiming | None:
         """When commands reach the robot through its driver, or through other executors; None if there are only emulated ones."""
         if self.executors:
-            return _LED._replace(delay=_LED.delay + max(led.delay for led in self.executors.values()))
-        params = self.strategy_params
-        if params is None:
-            return None
-        return CommandTiming(params.point_dt, params.chunk_period, params.look_ahead, params.delay)
+            return _TO_EXECUTORS._replace(
+                delay=_TO_EXECUTORS.delay + max(member.delay for member in self.executors.values())
+            )
+        return None if self.strategy_params is None else self.strategy_params.timing
 
     def _executor_faults(self) -> Iterator[str]:
         for group in self.executors:
             if group not in self.groups:
                 yield f"executors.{group}: there is no such group; the groups are {', '.join(self.groups) or 'none'}"
-        if len({led.robot for led in self.executors.values()}) < len(self.executors):
+        if len({member.robot for member in self.executors.values()}) < len(self.executors):
             yield "executors: a robot is named twice; each group has an executor of its own"
         for joint in self.joints if self.executors else ():
             owners = [group for group in self.executors if joint.startswith(f"{group}_")]

@@ -20,7 +20,7 @@ from zarm_contract.robot import RobotDescription, load_robot
 from zarm_contract.section import Section, read_section
 from zarm_contract.urdf_document import parse_urdf
 
-_LED = 0.93
+_ACCELERATION_SHARE = 0.93
 """Share of the largest acceleration of a robot that another executor leads: what that commands while it brakes exceeds its limits by up to
 5 %, and each executor checks what it is told to do."""
 _KEPT = ("link", "joint")
@@ -210,7 +210,7 @@ def _descriptor_text(composition: Composition, robots: Mapping[str, RobotDescrip
         whole["joints"] += joints
         whole["home"] += own["home"]
         for limit in whole["cspace"]:
-            share = _LED if part.executor is not None and limit == "acceleration" else 1.0
+            share = _ACCELERATION_SHARE if part.executor is not None and limit == "acceleration" else 1.0
             whole["cspace"][limit] += [round(share * each, 6) for each in own["cspace"][limit]]
         if part.executor is not None:
             delay = 0.0 if described.strategy_params is None else described.strategy_params.delay

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from zarm_contract.descriptor import CommandTiming, StrategyParams
+from zarm_contract.descriptor import StrategyParams
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand
@@ -38,8 +38,7 @@ class DriverLink(RobotLink):
     """
 
     def __init__(self, bus: Bus, keys: Keys, robot: RobotDescription, params: StrategyParams) -> None:
-        timing = CommandTiming(params.point_dt, params.chunk_period, params.look_ahead, params.delay)
-        super().__init__(robot.descriptor, timing)
+        super().__init__(robot.descriptor, params.timing)
         self.params = params
         self.velocity_clamp = np.array(params.velocity or self.velocity_clamp)
         self.acceleration_clamp = np.array(params.acceleration or self.acceleration_clamp)

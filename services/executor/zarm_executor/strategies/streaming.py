@@ -128,9 +128,9 @@ class Streaming(DriverStrategy, Steerable):
             self._rest_where_found(follower, now)
             return
         if self._sent_at is None:
-            if not follower.trajectory.at(follower.time + dt)[
-                1:
-            ].any():  # a rest at the beginning counts from the start
+            # A rest at the beginning counts from the start of the motion; what moves begins with the first chunk.
+            _, *moves = follower.trajectory.at(follower.time + dt)
+            if not np.any(moves):
                 follower.advance(min(dt, CATCH_UP))
         else:
             if self._away is not None:

@@ -87,18 +87,22 @@ def _following(
     """The configurations `begun` with one more group, whose tip keeps the constraint: the free ones to which it leads straight
     from `start` (dof,); with `thorough_ik`, or if there are none, all. Raises PlanningFailed.
     """
-    few = _DIFFERENT if not context.thorough_ik else _MOST
-    for some in (begun[:few], begun[:_MOST]):
+    made: list[_Reached] = []
+    for most in (_MOST,) if context.thorough_ik else (_DIFFERENT, _MOST):
+        last = most == _MOST or most >= len(begun)
         try:
-            made = _with_follower(context, some, group, constraint)
+            made = _with_follower(context, begun[:most], group, constraint)
         except PlanningFailed:
-            if len(some) == len(begun[:_MOST]):
+            if last:
                 raise
             continue
-        free = [one for one in made if is_free(context.model, context.world, one.q)]
-        straight = led_to(constraint, start, np.array([q for q, _ in free]).reshape(-1, len(start)))
-        if straight.any() and not context.thorough_ik:
-            return list(itertools.compress(free, straight))
+        if not context.thorough_ik:
+            free = [one for one in made if is_free(context.model, context.world, one.q)]
+            straight = led_to(constraint, start, np.array([q for q, _ in free]).reshape(-1, len(start)))
+            if straight.any():
+                return list(itertools.compress(free, straight))
+        if last:
+            break
     return made
 
 
