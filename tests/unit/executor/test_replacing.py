@@ -10,9 +10,10 @@ import pytest
 from support.arrivals import arrival
 from support.executor.bench import LIMIT, Bench
 from support.executor.driver_bench import EVERY, Case, DriverBench
-from support.trajectories import ROBOT, SCENE, moved
+from support.trajectories import ROBOT, SCENE, moved, rest_to_rest
 from zarm_contract.errors import Busy, ExecutionRefused
-from zarm_contract.messages import Authority, Obstruction
+from zarm_contract.messages import Authority, Obstruction, PathConstraint
+from zarm_executor.goal import Goal, Joined
 from zarm_executor.monitor import Monitor
 from zarm_trajectory.follower import TICK
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -163,3 +164,13 @@ def test_a_goal_that_was_told_to_end_or_to_pause_keeps_its_trajectory(bench: Ben
         bench.machine.pause(arrival())
     with pytest.raises(Busy, match="is ending or pausing"):
         bench.machine.replace("goal-1", 1, from_state(trajectory.at(at)), SCENE, at, ())
+
+
+@pytest.mark.parametrize("keeps", [None, PathConstraint(axes=(True, True, False, False, False, False))])
+def test_a_goal_that_another_motion_has_joined_is_replanned_only_if_that_holds_nothing(
+    keeps: PathConstraint | None,
+) -> None:
+    path = TimedTrajectory.of(rest_to_rest(moved(0.4)), ROBOT.descriptor.joints)
+    goal = Goal("goal-1", None, path, Monitor(path, ROBOT.descriptor), replan=True)
+    joined = goal.replaced(path, SCENE, (), joined=Joined(keeps))
+    assert joined.replan == (keeps is None)
