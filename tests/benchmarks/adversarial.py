@@ -1,9 +1,9 @@
-"""Whether a robot ever moves into what moves: `python tests/benchmarks/adversarial.py [--count 10000] [--seed 0] [--mode chunks]`.
+"""Whether a robot ever moves into what moves: `python tests/benchmarks/adversarial.py [--count 10000] [--seed 0] [--mode chunks] [--lag 0.1]`.
 
 Objects come at an M1013 at up to their stated speed (up to 1 m/s), turn around, wait and dash, while it executes a goal, follows a
 target or chunks of a policy, in turns or as `--mode` says; in 3 of 10 runs the servo dies at a random moment. Poses come 20 to 100 times a second, up to 30 ms late, on a clock
 that is up to 18 ms off. Guard, session, controller and the executor's state machine are those of the product, in this process, with
-a clock that is turned by hand and an arm that follows exactly; python-fcl looks every 10 ms whether there is contact.
+a clock that is turned by hand and an arm that follows exactly, or with `--lag` so many seconds later; python-fcl looks every 10 ms whether there is contact.
 
 Prints how the runs ended. `hit`: the object came upon a robot that rested or went away from it. `contact`: the robot moved towards
 it by more than 2 mm/s; with any, the exit code is 1 and the seeds are printed.
@@ -32,6 +32,12 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=10_000, help="attacks")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first one")
     parser.add_argument("--mode", choices=MODES, help="the only thing that the robot does (default: all in turns)")
+    parser.add_argument(
+        "--lag",
+        type=float,
+        default=0.0,
+        help="how much later than commanded the arm moves (s), as the servo has seen before",
+    )
     options = parser.parse_args()
     logging.disable()
     cell, began = Cell(), time.process_time()
@@ -39,7 +45,7 @@ def main() -> int:
     contacts = []
     for number in range(options.count):
         mode, seed = options.mode or MODES[number % len(MODES)], options.seed + number
-        attack = cell.attack(seed, mode)
+        attack = cell.attack(seed, mode, options.lag)
         ended[mode].append(attack)
         if attack.outcome == "contact":
             contacts.append(f"{mode} {seed}")

@@ -441,6 +441,7 @@ EXAMPLES: tuple[Message, ...] = (
         problem=_PROBLEM,
         hold=_HOLD,
         tick_lateness=0.0003,
+        lag=0.02,
         segment=2,
     ),
     m.GoalTrajectory(

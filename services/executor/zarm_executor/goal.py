@@ -123,8 +123,10 @@ class Goal:
             "find out what delayed the client, then start a new stream from where the robot is",
         )
 
-    def state(self, progress: Progress, state: State, elapsed: float) -> GoalState:
-        """The message on the goal in this `state`, at this `progress` of the strategy, after `elapsed` s in motion."""
+    def state(self, progress: Progress, state: State, elapsed: float, lag: float | None = None) -> GoalState:
+        """The message on the goal in this `state`, at this `progress` of the strategy, after `elapsed` s in motion, while the robot has
+        this `lag` (s).
+        """
         outcome = outcome_of(state)
         return GoalState(
             goal_id=self.goal_id,
@@ -134,6 +136,7 @@ class Goal:
             elapsed=elapsed,
             duration=self.trajectory.duration,
             joint_command=tuple(progress.command.tolist()),
+            lag=lag,
             problem=outcome.problem if outcome else None,
             hold=hold_of(state),
             segment=max(bisect_right(self.segments, progress.time) - 1, 0) if self.segments else None,

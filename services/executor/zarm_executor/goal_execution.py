@@ -10,6 +10,7 @@ from zarm_contract.errors import Busy, ExecutionFailed, ExecutionRefused, Unavai
 from zarm_contract.messages import Authority, GoalState, Hold, Openings, RobotMode, SceneRevision
 from zarm_executor.goal import Chunk, Goal, Joined
 from zarm_executor.guard import LEAST_WAY, Guard, Limit, given_up
+from zarm_executor.lag import Lag
 from zarm_executor.monitor import Monitor
 from zarm_executor.states import (
     Accepted,
@@ -55,6 +56,7 @@ class GoalExecution:
         self._guard = guard
         self._state: State = Accepted()
         self._elapsed = 0.0
+        self._lag = Lag()
         self._held_until = 0.0
         self._limit: Limit | None = None
         self._speed_scale = 1.0
@@ -234,7 +236,7 @@ class GoalExecution:
 
     def state(self) -> GoalState:
         """The goal's current state."""
-        return self.goal.state(self._strategy.progress(), self._state, self._elapsed)
+        return self.goal.state(self._strategy.progress(), self._state, self._elapsed, self._lag.seconds)
 
     @property
     def mode(self) -> RobotMode:
@@ -264,6 +266,7 @@ class GoalExecution:
         `guarded`: a servo watches it.
         """
         goal, progress, measured = self.goal, self._strategy.progress(), self._strategy.joint_state()
+        self._lag.observe(now, dt, progress.command, measured)
         held = held_of(self._state)
         if not isinstance(self._state, Paused) and (held is None or not held.at_rest):
             self._elapsed += dt

@@ -2,7 +2,7 @@
 executor.
 
 The servo's guard or session, the executor's state machine and its follower are the real ones; the clock is simulated,
-messages take some milliseconds, and the arm follows exactly. python-fcl detects contact on the descriptor's shapes.
+messages take some milliseconds, and the arm follows exactly or `lag` s later. python-fcl detects contact on the descriptor's shapes.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from __future__ import annotations
 import heapq
 import itertools
 import time as real_time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, Literal, get_args
 
@@ -43,6 +44,7 @@ from zarm_contract.messages import (
 from zarm_contract.messages import JointTarget as JointTargetMessage
 from zarm_executor.goal import Chunk, Goal
 from zarm_executor.monitor import Monitor
+from zarm_executor.strategies.base import Measured
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.metrics import Metrics
@@ -100,10 +102,10 @@ class Cell:
     def __init__(self) -> None:
         self.checker, self.check = Checker(MODEL, MESHES), SceneCheck(MODEL, MESHES)
 
-    def attack(self, seed: int, mode: Mode) -> Attack:
-        """The attack with this seed."""
+    def attack(self, seed: int, mode: Mode, lag: float = 0.0) -> Attack:
+        """The attack with this seed on an arm that is `lag` s behind its commands."""
         with _clock() as clock:
-            return _Run(self, np.random.default_rng(seed), mode, clock).result()
+            return _Run(self, np.random.default_rng(seed), mode, clock, lag).result()
 
 
 @contextmanager
@@ -127,7 +129,9 @@ def _no_plan(_: PlanRequest) -> Plan:
 
 
 class _Run:
-    def __init__(self, cell: Cell, rng: np.random.Generator, mode: Mode, clock: SimpleNamespace) -> None:
+    def __init__(
+        self, cell: Cell, rng: np.random.Generator, mode: Mode, clock: SimpleNamespace, lag: float = 0.0
+    ) -> None:
         self._rng, self._mode, self._time = rng, mode, clock
         dies = rng.random() < 0.3
         guard = "required" if mode == "goal" and dies else "optional"
@@ -140,12 +144,16 @@ class _Run:
         start, goal = self._ends()
         self._bench.arm.follower.trajectory = TimedTrajectory.standing(start)
         self._bench.arm.exact = type(self._bench.arm.exact)(start, np.zeros(6), clock.now)
+        ticks = 1 + round(lag / (_TICK * STEP))
+        self._passed = deque([self._bench.arm.exact] * ticks, maxlen=ticks)
+        self._bench.arm.disturb = self._late
         self._start, self._goal = start, goal
         self._object(start)
         measured: Any = SimpleNamespace(get=lambda max_age=1.0: self._measured())
         authorities: Any = SimpleNamespace(put=lambda said: self._post(lambda: self._hear(said)))
         nothing: Any = SimpleNamespace(set=lambda _: None)
         self._world = WorldMonitor(measured, MESHES, ROBOT.descriptor)
+        self._world.lag.on_goal(GoalState.model_construct(lag=lag))  # as it was in the motion before
         self._guard = Guard(
             robot,
             cell.checker,
@@ -198,10 +206,16 @@ class _Run:
             heapq.heappop(self._mail)[2]()
         self._bench.machine.start(goal, arrival())
 
+    def _late(self, exact: Measured) -> Measured:
+        """Where an arm is that is behind one that would be in this state."""
+        if self._passed[-1] is not exact:
+            self._passed.append(exact)
+        return replace(self._passed[0], time=exact.time)
+
     def _measured(self) -> JointState:
-        exact = self._bench.arm.exact
+        arm = self._passed[0]
         return JointState(
-            stamp=self._time.now, joint_names=_JOINTS, position=tuple(exact.position.tolist()), velocity=tuple(exact.velocity.tolist())
+            stamp=self._time.now, joint_names=_JOINTS, position=tuple(arm.position.tolist()), velocity=tuple(arm.velocity.tolist())
         )  # fmt: skip
 
     def _hear(self, said: Any) -> None:
@@ -258,8 +272,8 @@ class _Run:
         rng = self._rng
         if rng.random() < 0.02:
             self._aim, self._share = str(rng.choice(_LINKS)), float(rng.choice((1.0, 1.0, 1.0, 0.0, -1.0)))
-        exact = self._bench.arm.exact
-        links = MODEL.link_transforms(exact.position + rng.uniform(0.0, 0.5) * exact.velocity)
+        arm = self._passed[0]
+        links = MODEL.link_transforms(arm.position + rng.uniform(0.0, 0.5) * arm.velocity)
         away = links[MODEL.links.index(self._aim), :3, 3] - self._at
         way = away / max(float(np.linalg.norm(away)), 1e-9)
         self._velocity = self._reported + self._share * self._speed * way
@@ -290,8 +304,8 @@ class _Run:
 
     def result(self) -> Attack:
         """Run the attack."""
-        bench, clock, arm = self._bench, self._time, self._bench.arm
-        before, place = arm.exact.position, self._at
+        bench, clock = self._bench, self._time
+        before, place = self._start, self._at
         nearest, held, moved, reported, skipped, rested = np.inf, False, False, None, 0, 0
         outcome: Outcome = "free"
         for step in itertools.count(1):
@@ -316,9 +330,9 @@ class _Run:
                 if goal is not reported or step % (5 * _TICK) == 0:
                     reported = goal
                     self._tell_goal(bench.machine.goal_state() or goal)
-            now = arm.exact.position
+            now, velocity = self._passed[0].position, self._passed[0].velocity
             moved = moved or bool(np.abs(now - self._start).max() > 0.05)
-            rested = 0 if np.abs(arm.exact.velocity).max() > _MOVES else rested + 1
+            rested = 0 if np.abs(velocity).max() > _MOVES else rested + 1
             over = rested * _TICK * STEP > _RESTS or step * STEP > self._longest or (goal is not None and goal.done)
             if skipped > 0 and not over:
                 skipped -= 1
@@ -335,12 +349,13 @@ class _Run:
                 break
         if self._session is not None:
             self._session._pool.shutdown()
-        arrived = bool(np.abs(arm.exact.position - self._goal).max() < 0.01)
+        arrived = bool(np.abs(self._passed[0].position - self._goal).max() < 0.01)
         return Attack(outcome, float(nearest), held, moved, self._killed_at < clock.now, arrived)
 
     def _tell_goal(self, goal: GoalState) -> None:
         session, guard = self._session, self._guard
-        self._post(lambda: guard.on_goal(goal) if session is None else session.on_goal(goal))
+        heard = guard.on_goal if session is None else session.on_goal
+        self._post(lambda: (self._world.lag.on_goal(goal), heard(goal)))
 
     def _servo(self, step: int) -> None:
         session = self._session

@@ -24,3 +24,12 @@ def test_a_robot_never_moves_into_what_comes_at_it(cell: Cell, mode: Mode, first
     attacks = {seed: cell.attack(seed, mode) for seed in range(first, first + 17)}
     assert [seed for seed, attack in attacks.items() if attack.outcome == "contact"] == []
     assert any(attack.moved for attack in attacks.values())
+
+
+@pytest.mark.parametrize(
+    ("mode", "seeds"), [("session", (1010, 1014, 1020, 1025, 1032)), ("chunks", (1010, 1014, 1015))]
+)
+def test_an_arm_that_is_late_is_stopped_earlier(cell: Cell, mode: Mode, seeds: tuple[int, ...]) -> None:
+    attacks = {seed: cell.attack(seed, mode, lag=0.1) for seed in seeds}
+    assert [seed for seed, attack in attacks.items() if attack.outcome == "contact"] == []
+    assert all(attack.moved for attack in attacks.values())

@@ -160,7 +160,8 @@ class GoalState(Message):
     `duration` (s) is planned at full speed; at a speed scale of 0.5 the motion takes twice as long. `progress` is the share of
     it that has been reached, 0 to 1. For a stream, `duration` ends with the newest chunk, and `progress * duration` is the time
     of the stream. `hold` says why the robot brakes or waits without a command. While it moves, `tick_lateness` (s) is how late the
-    latest tick of the control loop was since the state before. `segment` is the index of a program's segment, see `Plan.segments`.
+    latest tick of the control loop was since the state before, and `lag` (s) by how much the measured joints are behind `joint_command`, which
+    already reckons with the `delay` in the robot's descriptor. `segment` is the index of a program's segment, see `Plan.segments`.
     """
 
     goal_id: Name
@@ -173,6 +174,7 @@ class GoalState(Message):
     problem: Problem | None = None
     hold: Hold | None = None
     tick_lateness: NonNegative | None = None
+    lag: float | None = None
     segment: Annotated[int, Field(ge=0)] | None = None
 
     @property

@@ -217,8 +217,9 @@ class Guard:
             stopping = StoppingTime(followed.trajectory, self._limits, self._reaction)
             self._stopping = followed.trajectory, stopping
         try:
+            stopping_time = self._stopping[1].after(reached) + self._world.lag.seconds
             found = self._checker.validity_among(
-                followed.trajectory, reached, scene, movers, time.monotonic(), self._stopping[1].after(reached)
+                followed.trajectory, reached, scene, movers, time.monotonic(), stopping_time
             )
         except ZarmError as error:
             return error

@@ -257,7 +257,7 @@ class Replanner:
             return False
         until = None
         if movers:
-            stopping = StoppingTime(trajectory, self._limits, self._reaction).after(0.0)
+            stopping = StoppingTime(trajectory, self._limits, self._reaction).after(0.0) + self._world.lag.seconds
             if self._checker.validity_among(trajectory, 0.0, scene, movers, now, stopping).until is not None:
                 return False
             until = LOOK_AHEAD

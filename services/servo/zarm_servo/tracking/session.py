@@ -140,7 +140,7 @@ class Session:
         self._joints = robot.descriptor.joints
         # No tool is changed while a goal runs.
         self._model: RobotModel = check.model.with_tools(world.scene.snapshot(time.monotonic()).attached)
-        self._measured = world.measured
+        self._measured, self._lag = world.measured, world.lag
         self._chunks, self._changed, self._delay = config.chunks, config.changed, delay
         self._scene = SessionScene(check, world.scene, world.moving, time.monotonic(), self._give_up)
         limits = soft(Limits.of(robot, request.velocity_scale, request.acceleration_scale))
@@ -359,7 +359,7 @@ class Session:
 
     def _step(self, target: Target | None, age: float | None, coming: float) -> None:
         now, scale = time.monotonic(), self._clock.scale
-        around = self._scene.around(now, coming + self._delay, scale)
+        around = self._scene.around(now, coming + self._delay + self._lag.seconds, scale)
         step = None
         if not self._closing:
             expected = now + coming / scale + self._delay

@@ -18,6 +18,7 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.voxel_blocks import VoxelBlocks
 from zarm_runtime.bus import Bus, Latest
 from zarm_servo.world.moving_objects import MovingObjects
+from zarm_servo.world.robot_lag import RobotLag
 from zarm_servo.world.scene_monitor import SceneMonitor
 
 log = logging.getLogger(__name__)
@@ -30,7 +31,7 @@ _OBJECT: TypeAdapter[SceneObject] = TypeAdapter(SceneObject)
 
 
 class WorldMonitor:
-    """The scene, the objects that move in it, and the `measured` joints.
+    """The scene, the objects that move in it, the `measured` joints and how late they are.
 
     Callables in `on_change` are called after every change of the scene, those in `on_move` after every pose of an object,
     and the others with each message of the executor; all from any thread. An exception of one is logged, and does not
@@ -50,6 +51,9 @@ class WorldMonitor:
         self.scene.on_openings(self.grippers.present())
         self.voxels = VoxelBlocks(lambda: self.scene.on_voxels(self.voxels.objects))
         self.moving = MovingObjects(self.scene, meshes, lambda: _call(self.on_move))
+        self.lag = RobotLag()
+        self.on_state.append(self.lag.on_state)
+        self.on_goal.append(self.lag.on_goal)
 
     @contextmanager
     def reading(self, bus: Bus, keys: Keys) -> Iterator[None]:
