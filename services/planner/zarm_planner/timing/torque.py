@@ -9,23 +9,25 @@ from numpy.typing import NDArray
 
 from zarm_geometry.dynamics import Dynamics
 from zarm_planner.timing.pace import paced
-from zarm_planner.timing.sampling import TOLERANCE, load, sample_times
+from zarm_planner.timing.sampling import TOLERANCE, load
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
 
 _COARSE = 0.025
-"""A motion sampled at least this often (s) is looked at in its samples alone ..."""
+"""Between two samples that are no further apart (s) a motion is not looked at ..."""
 _FAR = 0.8
-"""... if it stays below this share of its limits there."""
+"""... if it stays below this share of its limits in these."""
 _FINE = 0.003
-"""Largest time (s) between two looks at others,"""
-_VERIFIED = 0.0015
-"""and at one that has been slowed down,"""
+"""Largest time (s) between two looks where it does not,"""
+_VERIFIED = 0.001
+"""and there at one that has been slowed down,"""
 _LOOKS = 5000
 """unless there would be more."""
-_SHARE = 0.994
+_GRID = 0.006
+"""Largest time (s) between two points at which the pace of a motion is found."""
+_SHARE = 0.993
 """Share of the largest torque that a motion may take: what is left is for rounding, and for what is between two looks."""
 _SHARE_BEGUN = 0.95
 """The same where the motion has begun, and cannot be slowed down as a whole in the end."""
@@ -68,15 +70,12 @@ def within_torque(
     InvalidRequest if the motion becomes longer than a message holds.
     """
     limit, joints = dynamics.limit, slice(len(limits.joints))
-    if motion.steps.max() <= _COARSE:
-        use = _largest(motion.time, dynamics.torque(*motion.states[:, :, joints]), limit)
-        if use.share < _FAR:
-            return motion, use
-    looks = _Looks.at(dynamics, motion, joints, _FINE)
-    use = _largest(looks.times, looks.torque, limit)
+    looks = _Looks.at(dynamics, motion, joints, _FINE, _GRID)
+    use = looks.largest(limit)
     if use.share <= _SHARE:
         return motion, use
-    held = _largest(looks.times, looks.holding, limit)
+    holding = looks.holding(dynamics)
+    held = _largest(looks.times, holding, limit)
     if held.share >= _SHARE:
         raise TooHeavy(
             held.joint,
@@ -85,51 +84,82 @@ def within_torque(
         )
     room = (_SHARE_BEGUN if begun else _SHARE) * limit
     position, velocity, _ = looks.states[:, :, joints]
-    inert = dynamics.torque(position, np.zeros_like(velocity), velocity) - looks.holding
-    needs = np.stack((looks.torque - looks.holding, inert, -room - looks.holding, room - looks.holding))
+    inert = dynamics.torque(position, np.zeros_like(velocity), velocity) - holding
+    needs = np.stack((looks.torque - holding, inert, -room - holding, room - holding))
     slower = paced(motion, looks.times, looks.states, needs, limits)
     at_last = _Looks.at(dynamics, slower, joints, _VERIFIED)
-    stretch = max(at_last.stretch(limit), load(slower.columns(joints), limits))
+    stretch = max(at_last.stretch(dynamics), load(slower.columns(joints), limits))
     if begun:
         if stretch > 1.0 + TOLERANCE or not np.allclose(
             slower.states[:, 0], motion.states[:, 0], rtol=_SAME, atol=_SAME
         ):
             raise TooFast(use)
-        return slower, _largest(at_last.times, at_last.torque, limit)
-    if slower.duration * stretch > motion.duration * looks.stretch(limit):
-        slower, at_last, stretch = motion, looks, looks.stretch(limit)
+        return slower, at_last.largest(limit)
+    if stretch > 1.0 + TOLERANCE and slower.duration * stretch > motion.duration * (whole := looks.stretch(dynamics)):
+        slower, at_last, stretch = motion, looks, whole
     if stretch <= 1.0 + TOLERANCE:
-        return slower, _largest(at_last.times, at_last.torque, limit)
-    return slower.slower(stretch), _largest(stretch * at_last.times, at_last.slower(stretch), limit)
+        return slower, at_last.largest(limit)
+    return slower.slower(stretch), _largest(stretch * at_last.times, at_last.slower(stretch, dynamics), limit)
 
 
 class _Looks(NamedTuple):
-    """The `times` (n,) of a motion's samples, where the acceleration may have its peaks, and times between them; the
-    `states` (3, n, columns) there, the `torque` (n, dof), and what of it holds the robot.
+    """The `times` (n,) of a motion's samples, where the acceleration may have its peaks, and times between them where a joint may come near
+    to its largest torque; the `states` (3, n, columns) there, those of the `joints` first, and the `torque` (n, dof).
     """
 
     times: Array
     states: Array
+    joints: slice
     torque: Array
-    holding: Array
 
     @classmethod
-    def at(cls, dynamics: Dynamics, motion: TimedTrajectory, joints: slice, most: float) -> Self:
-        """Looks at most about `most` s apart."""
-        times = sample_times(motion.time, 1.0, max(most, motion.duration / _LOOKS))
+    def at(cls, dynamics: Dynamics, motion: TimedTrajectory, joints: slice, near: float, far: float = np.inf) -> Self:
+        """Looks at most about `near` s apart where a joint may come near to its largest torque, and `far` s elsewhere."""
+        torque = dynamics.torque(*motion.states[:, :, joints])
+        close = _near(motion, torque, dynamics.limit)
+        if not close.any():
+            return cls(motion.time, motion.states, joints, torque)
+        times = _between(motion, np.where(close, max(near, motion.duration / _LOOKS), far))
         states = motion.sample(times)
-        moving = states[:, :, joints]
-        return cls(times, states, dynamics.torque(*moving), dynamics.holding(moving[0]))
+        return cls(times, states, joints, dynamics.torque(*states[:, :, joints]))
 
-    def slower(self, factor: float) -> Array:
+    def holding(self, dynamics: Dynamics) -> Array:
+        """What of the torque (n, dof) holds the robot."""
+        return dynamics.holding(self.states[0][:, self.joints])
+
+    def largest(self, limit: Array) -> TorqueUse:
+        """The use of the largest torques `limit` (dof,)."""
+        return _largest(self.times, self.torque, limit)
+
+    def slower(self, factor: float, dynamics: Dynamics) -> Array:
         """The torque if the motion takes `factor` times as long: what speed and acceleration need falls with its square."""
-        return np.asarray(self.holding + (self.torque - self.holding) / factor**2)
+        holding = self.holding(dynamics)
+        return np.asarray(holding + (self.torque - holding) / factor**2)
 
-    def stretch(self, limit: Array) -> float:
-        """How many times as long, at least once, the motion must take to keep the torques `limit` (dof,)."""
-        moving = self.torque - self.holding
-        room = np.maximum(_SHARE * limit - np.sign(moving) * self.holding, _SMALL)
+    def stretch(self, dynamics: Dynamics) -> float:
+        """How many times as long, at least once, the motion must take to keep the largest torques."""
+        over = (np.abs(self.torque) > _SHARE * dynamics.limit).any(axis=1)
+        if not over.any():
+            return 1.0
+        holding = dynamics.holding(self.states[0, over][:, self.joints])
+        moving = self.torque[over] - holding
+        room = np.maximum(_SHARE * dynamics.limit - np.sign(moving) * holding, _SMALL)
         return max(1.0, float(np.sqrt((np.abs(moving) / room).max())))
+
+
+def _near(motion: TimedTrajectory, torque: Array, limit: Array) -> NDArray[np.bool_]:
+    """Between which samples (n - 1,) of a motion a joint may need its largest torque, which needs `torque` (n, dof) in them."""
+    near = (np.abs(torque) >= _FAR * limit).any(axis=1)
+    return near[:-1] | near[1:] | (motion.steps > _COARSE)
+
+
+def _between(motion: TimedTrajectory, most: Array) -> Array:
+    """The times (n,) of the samples of a motion, and more, so that they are at most `most` (k - 1,) s apart in each interval."""
+    counts = np.maximum(np.ceil(motion.steps / most), 1.0).astype(int)
+    first = np.repeat(np.cumsum(counts) - counts, counts)
+    shares = (np.arange(len(first)) - first) / np.repeat(counts, counts)
+    times = np.repeat(motion.time[:-1], counts) + shares * np.repeat(motion.steps, counts)
+    return np.append(times, motion.time[-1])
 
 
 def _largest(times: Array, torque: Array, limit: Array) -> TorqueUse:
