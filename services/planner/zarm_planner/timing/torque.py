@@ -149,7 +149,7 @@ class _Looks(NamedTuple):
 
 def _near(motion: TimedTrajectory, torque: Array, limit: Array) -> NDArray[np.bool_]:
     """Between which samples (n - 1,) of a motion a joint may need its largest torque, which needs `torque` (n, dof) in them."""
-    near = (np.abs(torque) >= _FAR * limit).any(axis=1)
+    near: NDArray[np.bool_] = (np.abs(torque) / limit).max(axis=1) >= _FAR
     return near[:-1] | near[1:] | (motion.steps > _COARSE)
 
 
