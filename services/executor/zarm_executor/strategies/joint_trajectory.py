@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from enum import Enum, auto
+
 import numpy as np
 
 from zarm_executor.strategies.base import Measured, Progress
@@ -37,6 +39,17 @@ _ENCODING = 12e-6
 """Time (s) to send one point: measured, 36 ms for 3000 points of six joints."""
 
 
+class _Phase(Enum):
+    """What the driver is told: to play the path, or to brake along it."""
+
+    PLAYING = auto()
+    STOPPING = auto()
+    """Playing, until the point is known from which to brake."""
+    BRAKING = auto()
+    RESUMING = auto()
+    """Braking, until the point is known, or the robot rests, from which to play the rest."""
+
+
 class JointTrajectory(DriverStrategy):
     """Sends the path once. A stop is a new trajectory that brakes along the path, or an empty one if `stop` is `empty`.
 
@@ -58,13 +71,11 @@ class JointTrajectory(DriverStrategy):
         self._reported = 0.0
         self._reported_at = 0.0
         self._gone_on = False
-        self._braking = False
+        self._phase = _Phase.PLAYING
         self._unsent = False
         self._speed = 1.0
         self._repacing = False
-        self._stopping = False
         self._waited = 0.0
-        self._resuming = False
         self._lost_at: float | None = None
         self._back_at = -np.inf
 
@@ -72,26 +83,25 @@ class JointTrajectory(DriverStrategy):
         """Play the whole of `trajectory` from the next tick on."""
         self.link.begin()
         self._trajectory, self._speed = trajectory, speed
-        self._braking = self._stopping = self._resuming = False
+        self._phase = _Phase.PLAYING
         self._lost_at = None
         self._play(self._along(trajectory, PathState(trajectory.begin, speed), speed))
 
     def stop(self) -> None:
         """Brake along the path from the next tick on."""
-        self._resuming = False
-        if not self._stopping:
-            self._stopping = self._command is not None and not self._braking
-            self._waited = 0.0
+        if self._phase is _Phase.RESUMING:
+            self._phase = _Phase.BRAKING
+        elif self._phase is _Phase.PLAYING and self._command is not None:
+            self._phase, self._waited = _Phase.STOPPING, 0.0
 
     def move(self, speed: float) -> None:
         """Play the rest of the path at this path speed.
 
         It begins where the robot came to rest, or where the driver will be in what it is playing or braking through.
         """
-        self._stopping = False
         self._repacing = self._repacing or speed != self._speed
         self._speed = speed
-        self._resuming = self._braking
+        self._phase = _Phase.RESUMING if self._brakes else _Phase.PLAYING
 
     def tick(self, now: float, dt: float) -> None:
         """See how far the driver is, and send what is to be played next."""
@@ -117,15 +127,15 @@ class JointTrajectory(DriverStrategy):
             if self._ended_unreported(command, now):
                 self._index = command.last
                 self.link.stop()  # a driver with points left must not continue with them
-        if self._stopping:
+        if self._phase is _Phase.STOPPING:
             self._brake(command, now, dt)
-        elif self._resuming:
+        elif self._phase is _Phase.RESUMING:
             self._resume(command, dt)
-        elif self._repacing and not self._braking:
+        elif self._phase is _Phase.PLAYING and self._repacing:
             self._repace(command, now, dt)
         if self._unsent or self._untaken(now):
             self._transmit(now)
-        elif self._braking and self._index == command.last:
+        elif self._brakes and self._index == command.last:
             self.hold(now)
 
     def braking_from(self) -> PathState:
@@ -135,7 +145,7 @@ class JointTrajectory(DriverStrategy):
 
     def problem(self) -> str | None:
         """What the controller says of the trajectory that it refused or gave up."""
-        return None if self._sequence is None or self._braking or self._unsent else self.link.problem(self._sequence)
+        return None if self._sequence is None or self._brakes or self._unsent else self.link.problem(self._sequence)
 
     def progress(self) -> Progress:
         """How far the robot is."""
@@ -143,8 +153,13 @@ class JointTrajectory(DriverStrategy):
         if trajectory is None or command is None:
             return Progress(time=0.0, speed=0.0, command=np.zeros(len(self.link.joints)), finished=True)
         time, speed, _ = command.at(self._index)
-        over = self._lost_at is None and not self._resuming
+        over = self._lost_at is None and self._phase is not _Phase.RESUMING
         return Progress(time, speed, command.position(self._index), finished=over and time >= trajectory.duration)
+
+    @property
+    def _brakes(self) -> bool:
+        """Whether the driver was told to brake."""
+        return self._phase in (_Phase.BRAKING, _Phase.RESUMING)
 
     def _brake_unheard(self, now: float) -> None:
         """While the driver is not heard, tell it to stop by its own means, until it is heard again and the robot
@@ -153,15 +168,13 @@ class JointTrajectory(DriverStrategy):
         Anything still to be sent is dropped, because it would start from where the robot no longer is. A motion that
         was not told to stop continues from where the robot stands.
         """
-        stopped = self._stopping or self._braking
-        if self.progress().finished and not stopped:
+        if self.progress().finished and self._phase is _Phase.PLAYING:
             return
         measured = self.link.measured()
         if self._lost_at is None:
             self._lost_at = now if measured is None else measured.time
-        self._resuming = self._resuming or not stopped
-        self._stopping = self._unsent = False
-        self._braking = True
+        goes_on = self._phase in (_Phase.PLAYING, _Phase.RESUMING)
+        self._phase, self._unsent = _Phase.RESUMING if goes_on else _Phase.BRAKING, False
         self.hold(now)
         if self._trajectory is not None and measured is not None and self.link.is_reporting(now):
             self._find(self._trajectory, measured, now - self._lost_at)
@@ -182,7 +195,7 @@ class JointTrajectory(DriverStrategy):
         """
         return (
             self.link.params.state_topic is not None
-            and not self._braking
+            and not self._brakes
             and self._sequence is not None
             and self.link.fraction(self._sequence) is None
             and now - self._sent_at > _UNTAKEN
@@ -195,8 +208,7 @@ class JointTrajectory(DriverStrategy):
         if index is None:
             self._waited += dt
             return
-        self._stopping = False
-        self._braking = True
+        self._phase = _Phase.BRAKING
         if self._trajectory is not None:
             self._play(self._along(self._trajectory, command.at(min(index, command.last)), 0.0))
 
@@ -230,7 +242,7 @@ class JointTrajectory(DriverStrategy):
             if index is None:
                 return
             self._play(self._along(trajectory, command.at(index), self._speed))
-        self._braking = self._resuming = False
+        self._phase = _Phase.PLAYING
 
     def _repace(self, command: RetimedTrajectory, now: float, dt: float) -> None:
         """Play the rest at the new path speed, from where the driver will be when it receives it."""
@@ -285,7 +297,7 @@ class JointTrajectory(DriverStrategy):
         if self._command is None:
             return
         # A robot at rest must not start to move in order to brake.
-        empty = self._braking and (self.link.params.stop == "empty" or self.link.standing())
+        empty = self._brakes and (self.link.params.stop == "empty" or self.link.standing())
         self._sequence = self.link.stop() if empty else self.link.send(self._command.points)
         self._sent_at = now
         self.sent(now)
@@ -299,7 +311,7 @@ class JointTrajectory(DriverStrategy):
 
     def _reached(self, command: RetimedTrajectory, dt: float) -> float:
         """The index of the point that the robot has reached."""
-        if self._braking:
+        if self._brakes:
             return self._clock - self.link.params.delay / command.dt
         if self.link.params.state_topic is None:
             window = max(_WINDOW, dt) / command.dt
@@ -314,7 +326,7 @@ class JointTrajectory(DriverStrategy):
         back to it.
         """
         measured, execution = self.link.measured(), self.link.execution
-        if measured is None or self._trajectory is None or self._braking or self._index == command.last:
+        if measured is None or self._trajectory is None or self._brakes or self._index == command.last:
             return False
         if (
             self._reported <= 0.0
