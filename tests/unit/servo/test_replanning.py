@@ -239,6 +239,21 @@ def test_a_plan_that_is_not_free_of_what_moves_is_not_followed(peers: Peers, rep
     assert not peers.replaced
 
 
+@pytest.mark.parametrize(("lag", "followed"), [(0.0, True), (5.0, False)])
+def test_a_plan_is_not_followed_if_a_robot_that_lags_would_stop_too_late(
+    peers: Peers, replanner: Replanner, lag: float, *, followed: bool
+) -> None:
+    ball = Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 9.0), radius=0.1)
+    peers.world.scene.on_scene("", Scene(revision=SCENE, objects=(ball,)))
+    x, y, z = RobotModel.of(ROBOT).fk_tip(PATH.positions(np.array([PATH.duration / 2]))[0])[:3, 3].tolist()
+    pose = ObjectPose(stamp=time.time(), position=(1.5 * x, 1.5 * y, z), speed=0.1)
+    peers.world.moving.update_object("ball", encode(pose), time.monotonic(), time.time())
+    peers.world.lag.on_goal(GoalState.model_construct(lag=lag))
+    replanner.on_validity(FOLLOWED_GOAL, PATH.duration - 0.1)
+    eventually(lambda: peers.replaced or len(peers.asked) > 1, "it was followed, or tried again")
+    assert bool(peers.replaced) == followed
+
+
 def test_a_goal_that_is_blocked_before_a_plan_could_take_over_is_not_planned_in_motion(
     peers: Peers, replanner: Replanner
 ) -> None:

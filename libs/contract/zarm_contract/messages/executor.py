@@ -161,7 +161,7 @@ class GoalState(Message):
     it that has been reached, 0 to 1. For a stream, `duration` ends with the newest chunk, and `progress * duration` is the time
     of the stream. `hold` says why the robot brakes or waits without a command. While it moves, `tick_lateness` (s) is how late the
     latest tick of the control loop was since the state before, and `lag` (s) by how much the measured joints are behind `joint_command`, which
-    already reckons with the `delay` in the robot's descriptor. `segment` is the index of a program's segment, see `Plan.segments`.
+    under `joint_speed` and `joint_pose` is where they should be by the `delay` in the robot's descriptor. `segment` is the index of a program's segment, see `Plan.segments`.
     """
 
     goal_id: Name

@@ -95,7 +95,8 @@ def within_torque(
         ):
             raise TooFast(use)
         return slower, at_last.largest(limit)
-    if stretch > 1.0 + TOLERANCE and slower.duration * stretch > motion.duration * (whole := looks.stretch(dynamics)):
+    whole = looks.stretch(dynamics)
+    if slower.duration * stretch > motion.duration * whole:
         slower, at_last, stretch = motion, looks, whole
     if stretch <= 1.0 + TOLERANCE:
         return slower, at_last.largest(limit)
@@ -119,7 +120,7 @@ class _Looks(NamedTuple):
         close = _near(motion, torque, dynamics.limit)
         if not close.any():
             return cls(motion.time, motion.states, joints, torque)
-        times = _between(motion, np.where(close, max(near, motion.duration / _LOOKS), far))
+        times = _between(motion, np.maximum(np.where(close, near, far), motion.duration / _LOOKS))
         states = motion.sample(times)
         return cls(times, states, joints, dynamics.torque(*states[:, :, joints]))
 
