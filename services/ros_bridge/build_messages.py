@@ -15,7 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 PACKAGE = "curobo_msgs"
-DEFINITIONS = Path(__file__).parent / "zarm_ros_bridge" / "generations" / PACKAGE
+DEFINITIONS = Path(__file__).parent / "zarm_ros_bridge" / "curobo" / "generations" / PACKAGE
 OTHERS = Path(__file__).parent / "zarm_ros_bridge" / "interfaces"
 """The other packages, a folder each."""
 PYTHON_HEADER = Path(sysconfig.get_path("include"), "Python.h")

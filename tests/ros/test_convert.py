@@ -37,12 +37,12 @@ from zarm_contract.messages import (
 from zarm_ros_bridge.convert.colours import colour_of
 from zarm_ros_bridge.convert.fields import in_terms_of
 from zarm_ros_bridge.convert.joints import is_empty, positions_of, ros_joint_state, ros_positions
-from zarm_ros_bridge.convert.motions import MotionRequest, path_constraint_of
 from zarm_ros_bridge.convert.poses import is_given, pose_of, ros_pose
-from zarm_ros_bridge.convert.scene import fill_grid, object_of
 from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.convert.trajectories import ros_joint_states
-from zarm_ros_bridge.generations.b import GenerationB
+from zarm_ros_bridge.curobo.generations.b import GenerationB
+from zarm_ros_bridge.curobo.motion_requests import MotionRequest, path_constraint_of
+from zarm_ros_bridge.curobo.objects import fill_grid, object_of
 from zarm_trajectory.trajectory import TimedTrajectory
 
 

@@ -13,8 +13,8 @@ from sensor_msgs.msg import JointState as RosJointState
 from support.examples import examples
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import JointState
-from zarm_ros_bridge.convert.driver_joints import DriverJointStates
 from zarm_ros_bridge.convert.joints import driver_joint_state, ros_joint_state
+from zarm_ros_bridge.drivers.joints import DriverJointStates
 
 JOINTS = ("joint_1", "joint_2", "joint_3")
 

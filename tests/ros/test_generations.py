@@ -13,8 +13,8 @@ from support.harness import ServiceProcess, eventually, router
 from support.ros.generations import Typed, typed
 from support.ros.stack import KEYS
 from zarm_contract.robot import load_robot
-from zarm_ros_bridge.generations import installed
-from zarm_ros_bridge.generations.definitions import definitions
+from zarm_ros_bridge.curobo.generations import installed
+from zarm_ros_bridge.curobo.generations.definitions import definitions
 from zarm_runtime.bus import Bus
 
 ROBOT = load_robot("doosan_m1013")

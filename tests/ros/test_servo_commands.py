@@ -14,9 +14,9 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import ChunkAccepted, Clipped, ServoSession
 from zarm_contract.robot import load_robot
-from zarm_ros_bridge.convergence import Approach
 from zarm_ros_bridge.convert.servo_commands import chunk_of, joint_speed_of, target_of, twist_of
 from zarm_ros_bridge.convert.times import ros_duration
+from zarm_ros_bridge.curobo.convergence import Approach
 from zarm_ros_bridge.servo_commands import Punctuality
 
 ROBOT = load_robot("doosan_m1013").descriptor

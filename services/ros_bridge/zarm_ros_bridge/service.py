@@ -8,39 +8,30 @@ from contextlib import ExitStack, contextmanager
 
 from zarm_contract.errors import InvalidRequest
 from zarm_ros_bridge.action_servers import ActionServers
-from zarm_ros_bridge.additions import Additions
-from zarm_ros_bridge.availability import Availability
 from zarm_ros_bridge.cameras import CameraTopics
-from zarm_ros_bridge.controller_topics import ControllerTopics
 from zarm_ros_bridge.convert.colours import Colour
+from zarm_ros_bridge.curobo.generations.installed import installed
+from zarm_ros_bridge.curobo.parameters import Parameters
+from zarm_ros_bridge.curobo.unified_planner import unified_planner
 from zarm_ros_bridge.diagnostics import Diagnostics
-from zarm_ros_bridge.drivers import Drivers
+from zarm_ros_bridge.drivers.robot_driver import Drivers
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.execution import ExecutionActions
 from zarm_ros_bridge.faults import Faults
 from zarm_ros_bridge.frames import Frames
-from zarm_ros_bridge.generations.c import GenerationC
-from zarm_ros_bridge.generations.installed import installed
-from zarm_ros_bridge.gripper_actions import GripperActions
 from zarm_ros_bridge.grippers import Grippers
-from zarm_ros_bridge.kinematics import Kinematics
-from zarm_ros_bridge.motions import Motions
 from zarm_ros_bridge.moveit.move_group import NODE as MOVE_GROUP
 from zarm_ros_bridge.moveit.move_group import WORKERS as MOVE_GROUP_WORKERS
 from zarm_ros_bridge.moveit.move_group import move_group
-from zarm_ros_bridge.parameters import Parameters
-from zarm_ros_bridge.planning import Planning
 from zarm_ros_bridge.replies import insist
 from zarm_ros_bridge.ros import Ros
-from zarm_ros_bridge.scene import SceneServices
+from zarm_ros_bridge.ros2_control.controller_topics import ControllerTopics
+from zarm_ros_bridge.ros2_control.gripper_actions import GripperActions
+from zarm_ros_bridge.ros2_control.trajectory_action import TrajectoryAction
 from zarm_ros_bridge.servo_commands import ServoCommands
-from zarm_ros_bridge.strategies import StrategyServices
 from zarm_ros_bridge.terms import Terms
 from zarm_ros_bridge.topics import Topics
-from zarm_ros_bridge.trajectory_action import TrajectoryAction
 from zarm_ros_bridge.transform_publisher import TransformPublisher
 from zarm_ros_bridge.turns import Turns
-from zarm_ros_bridge.world_file import WorldFile
 from zarm_runtime.service import Service, run_service, service_parser
 
 NODE = "unified_planner"
@@ -70,37 +61,27 @@ def start(service: Service) -> Iterator[None]:
             bus, service.keys, service.robot, Terms(ros.node.get_fully_qualified_name(), service.keys, params)
         )
         parameters = Parameters(ros.node, engine)
-        motions = Motions(engine, parameters)
         turns = Turns(engine, lambda: bool(parameters.value("preempt")))
         colours: dict[str, Colour] = {}
         grippers = Grippers(engine)
         frames = Frames(ros, engine, grippers)
-        Planning(ros, engine, parameters, motions, generation)
-        Kinematics(ros, engine, generation)
         Faults(ros, engine)
-        SceneServices(ros, engine, parameters, colours, generation)
         if params is not None:
             Drivers(ros, controller, engine, params)
-        WorldFile(engine, parameters)
         CameraTopics(ros, engine)
-        additions = isinstance(generation, GenerationC)
-        topics = Topics(ros, engine, grippers, colours, obstacles=("~/obstacles", "~/scene_obstacles")[: 1 + additions])
-        if additions:
-            Additions(ros, engine, motions, topics.show_spheres)
-        else:
-            topics.show_spheres(True)
+        obstacles = ("~/obstacles", "~/scene_obstacles")[: 1 + generation.additions]
         with (
-            topics,
-            StrategyServices(ros, first, engine, parameters, generation),
+            Topics(ros, engine, grippers, colours, obstacles=obstacles) as topics,
             ActionServers(engine, turns) as servers,
             ServoCommands(ros, first, engine, frames) as servo_commands,
-            Availability(engine, parameters),
             Diagnostics(ros, engine),
             TransformPublisher(ros, engine, frames),
             ControllerTopics(ros, engine, frames),
             ExitStack() as serving,
         ):
-            ExecutionActions(ros, engine, parameters, motions, generation, servers, turns)
+            serving.enter_context(
+                unified_planner(ros, first, engine, parameters, generation, topics, servers, turns, colours)
+            )
             TrajectoryAction(ros, engine, frames, servers)
             GripperActions(ros, engine, servers)
             if moveit is not None:

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from zarm_ros_bridge.driver_progress import ProgressReader
+from zarm_ros_bridge.drivers.progress import ProgressReader
 
 
 def test_before_a_command_nothing_is_said() -> None:

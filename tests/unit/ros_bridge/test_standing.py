@@ -8,7 +8,7 @@ from itertools import pairwise
 import pytest
 
 from zarm_contract.messages import JointState
-from zarm_ros_bridge.standing import Standing
+from zarm_ros_bridge.drivers.standing import Standing
 
 TIMEOUT = 0.1
 

@@ -13,8 +13,8 @@ from zarm_contract.errors import InvalidRequest, ZarmError
 from zarm_contract.messages import Voxels
 from zarm_ros_bridge.answers import with_message
 from zarm_ros_bridge.convert.fields import in_terms_of
+from zarm_ros_bridge.curobo.motions import Motions
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.motions import Motions
 from zarm_ros_bridge.ros import Ros
 
 log = logging.getLogger(__name__)

@@ -14,14 +14,14 @@ from zarm.connection import ANSWER_SECONDS
 from zarm_contract.errors import ExecutionRefused, from_problem
 from zarm_contract.messages import ExecuteRequest, GoalState
 from zarm_ros_bridge.action_servers import Action, ActionServers
-from zarm_ros_bridge.closed_loop import CLOSED_LOOP, FEEDBACK_UNIT, ClosedLoop
 from zarm_ros_bridge.convert.joints import ros_positions
 from zarm_ros_bridge.convert.times import ros_time
+from zarm_ros_bridge.curobo.closed_loop import CLOSED_LOOP, FEEDBACK_UNIT, ClosedLoop
+from zarm_ros_bridge.curobo.generations.generation import Generation
+from zarm_ros_bridge.curobo.motions import Motions
+from zarm_ros_bridge.curobo.parameters import Parameters
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.generations.generation import Generation
 from zarm_ros_bridge.goals import Run
-from zarm_ros_bridge.motions import Motions
-from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.ros import Ros
 from zarm_ros_bridge.turns import Turns, busy
 

@@ -12,9 +12,9 @@ from zarm_contract.errors import InvalidRequest, ZarmError
 from zarm_contract.messages import Plan, PlanRequest, Pose
 from zarm_ros_bridge.convert.fields import in_terms_of
 from zarm_ros_bridge.convert.joints import is_empty, positions_of
-from zarm_ros_bridge.convert.motions import MotionRequest
+from zarm_ros_bridge.curobo.motion_requests import MotionRequest
+from zarm_ros_bridge.curobo.parameters import Parameters
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.parameters import Parameters
 from zarm_runtime.publications import deliver
 from zarm_trajectory.trajectory import TimedTrajectory
 

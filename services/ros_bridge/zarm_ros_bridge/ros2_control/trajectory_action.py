@@ -17,9 +17,9 @@ from zarm_ros_bridge.convert.joint_trajectories import starts_in, trajectory_of
 from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
-from zarm_ros_bridge.goal_tolerances import GoalTolerances
 from zarm_ros_bridge.goals import Run
 from zarm_ros_bridge.ros import Ros
+from zarm_ros_bridge.ros2_control.goal_tolerances import GoalTolerances
 
 NAME = "zarm_controller/follow_joint_trajectory"
 """Relative to the namespace of the bridge."""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from zarm_contract.messages import Plan
-from zarm_ros_bridge.convert.motions import MotionRequest, filled, motion_to, path_constraint_of, pose_sets
-from zarm_ros_bridge.generations.b import GenerationB
+from zarm_ros_bridge.curobo.generations.b import GenerationB
+from zarm_ros_bridge.curobo.motion_requests import MotionRequest, filled, motion_to, path_constraint_of, pose_sets
 
 _FIELDS = ("goalsets", "target_joint_positions")
 _READS = {"joint_space": "target_joint_positions"}
@@ -17,6 +17,7 @@ class GenerationC(GenerationB):
     """v2 of the tutorial, with goal sets."""
 
     letter = "c"
+    additions = True
 
     def motion(self, request: Any, planner: str, joints: Sequence[str]) -> MotionRequest:
         """Through all goal sets, in turn; with the planner batch to one pose of any of them."""

@@ -19,8 +19,8 @@ from zarm_contract.errors import ZarmError
 from zarm_contract.messages import Pose
 from zarm_ros_bridge.convert.poses import ros_pose
 from zarm_ros_bridge.convert.times import ros_time
+from zarm_ros_bridge.curobo.live_target import LiveTarget
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.live_target import LiveTarget
 from zarm_ros_bridge.ros import Ros
 from zarm_trajectory.trajectory import TimedTrajectory
 

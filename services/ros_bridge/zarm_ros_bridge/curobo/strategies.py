@@ -13,10 +13,10 @@ from std_srvs.srv import Trigger
 from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
 from zarm_contract.messages import StrategyRequest
 from zarm_ros_bridge.answers import with_message
+from zarm_ros_bridge.curobo.generations.generation import Generation
+from zarm_ros_bridge.curobo.parameters import Parameters, robot_type
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.generations.generation import Generation
 from zarm_ros_bridge.holds import waiting
-from zarm_ros_bridge.parameters import Parameters, robot_type
 from zarm_ros_bridge.ros import Ros
 
 if TYPE_CHECKING:

@@ -7,11 +7,11 @@ import logging
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from zarm_ros_bridge.generations.a import GenerationA
-from zarm_ros_bridge.generations.b import GenerationB
-from zarm_ros_bridge.generations.c import GenerationC
-from zarm_ros_bridge.generations.definitions import Fields, definitions
-from zarm_ros_bridge.generations.generation import Generation
+from zarm_ros_bridge.curobo.generations.a import GenerationA
+from zarm_ros_bridge.curobo.generations.b import GenerationB
+from zarm_ros_bridge.curobo.generations.c import GenerationC
+from zarm_ros_bridge.curobo.generations.definitions import Fields, definitions
+from zarm_ros_bridge.curobo.generations.generation import Generation
 
 log = logging.getLogger(__name__)
 

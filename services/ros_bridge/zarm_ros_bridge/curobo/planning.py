@@ -9,13 +9,13 @@ from std_srvs.srv import Trigger
 
 from zarm_contract.errors import Busy, InvalidRequest
 from zarm_ros_bridge.answers import with_message
-from zarm_ros_bridge.closed_loop import check_plans
 from zarm_ros_bridge.convert.trajectories import ros_joint_states
+from zarm_ros_bridge.curobo.closed_loop import check_plans
+from zarm_ros_bridge.curobo.generations.generation import Generation
+from zarm_ros_bridge.curobo.motions import Motions
+from zarm_ros_bridge.curobo.parameters import PLANNERS, Parameters
+from zarm_ros_bridge.curobo.rereading import reread_robot
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.generations.generation import Generation
-from zarm_ros_bridge.motions import Motions
-from zarm_ros_bridge.parameters import PLANNERS, Parameters
-from zarm_ros_bridge.rereading import reread_robot
 from zarm_ros_bridge.ros import Ros
 
 if TYPE_CHECKING:

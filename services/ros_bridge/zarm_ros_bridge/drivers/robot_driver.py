@@ -18,15 +18,15 @@ from zarm_contract.descriptor import StrategyParams
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import DriverCommand, DriverProgress, DriverSpeed, ExecutorState
 from zarm_ros_bridge.answers import shortened
-from zarm_ros_bridge.controller_action import ControllerAction
-from zarm_ros_bridge.convert.driver_joints import DriverJointStates
 from zarm_ros_bridge.convert.trajectories import ros_joint_trajectory
-from zarm_ros_bridge.driver_progress import ProgressReader
+from zarm_ros_bridge.drivers.controller_action import ControllerAction
+from zarm_ros_bridge.drivers.gripper_driver import GripperDriver
+from zarm_ros_bridge.drivers.joints import DriverJointStates
+from zarm_ros_bridge.drivers.output_driver import OutputDriver
+from zarm_ros_bridge.drivers.progress import ProgressReader
+from zarm_ros_bridge.drivers.standing import Standing
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.gripper_driver import GripperDriver
-from zarm_ros_bridge.output_driver import OutputDriver
 from zarm_ros_bridge.ros import Ros
-from zarm_ros_bridge.standing import Standing
 from zarm_runtime.expiry import Expiry
 
 log = logging.getLogger(__name__)

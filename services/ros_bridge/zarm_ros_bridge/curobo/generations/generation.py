@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 from zarm_contract.messages import Plan
-from zarm_ros_bridge.convergence import Convergence
-from zarm_ros_bridge.convert.motions import MotionRequest, filled, motion_to, path_constraint_of, pose_sets
+from zarm_ros_bridge.curobo.convergence import Convergence
+from zarm_ros_bridge.curobo.motion_requests import MotionRequest, filled, motion_to, path_constraint_of, pose_sets
 from zarm_ros_bridge.ros import Ros
 
 _READS = {"batch": "target_poses", "multipoint": "target_poses", "joint_space": "target_joint_positions"}
@@ -24,6 +24,8 @@ class Generation(ABC):
     letter: ClassVar[str]
     planners: ClassVar[int]
     """The number of values of SetPlanner."""
+    additions: ClassVar[bool] = False
+    """Whether its clients expect the services of `additions`, and the obstacles on a second topic."""
 
     def __init__(self, types: Mapping[str, Any], differences: Sequence[str]) -> None:
         self.types = types

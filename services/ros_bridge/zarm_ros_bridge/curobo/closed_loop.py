@@ -13,17 +13,17 @@ from sensor_msgs.msg import JointState as RosJointState
 from zarm.servoing import Tracking, limited
 from zarm_contract.errors import Cancelled, DeadlineExceeded, InvalidRequest, Unavailable, ZarmError
 from zarm_contract.messages import Pose
-from zarm_ros_bridge.convergence import Approach, Convergence
 from zarm_ros_bridge.convert.joints import is_empty, ros_positions
-from zarm_ros_bridge.convert.motions import MotionRequest
 from zarm_ros_bridge.convert.poses import is_given, pose_of
 from zarm_ros_bridge.convert.times import ros_time
+from zarm_ros_bridge.curobo.convergence import Approach, Convergence
+from zarm_ros_bridge.curobo.generations.generation import Generation
+from zarm_ros_bridge.curobo.live_target import LiveTarget
+from zarm_ros_bridge.curobo.motion_requests import MotionRequest
+from zarm_ros_bridge.curobo.parameters import Parameters
+from zarm_ros_bridge.curobo.predicted_path import PredictedPath
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.generations.generation import Generation
 from zarm_ros_bridge.goals import Run
-from zarm_ros_bridge.live_target import LiveTarget
-from zarm_ros_bridge.parameters import Parameters
-from zarm_ros_bridge.predicted_path import PredictedPath
 from zarm_ros_bridge.ros import Ros
 
 CLOSED_LOOP = ("mpc", "retarget")

@@ -11,8 +11,8 @@ from zarm_contract.codec import decode
 from zarm_contract.document import Document, read_document
 from zarm_contract.errors import InvalidRequest, ZarmError, from_problem
 from zarm_contract.messages import SceneEdit
+from zarm_ros_bridge.curobo.parameters import Parameters
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.parameters import Parameters
 
 _KEYS = {
     "cuboid": {"pose", "dims"},

@@ -7,8 +7,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_ros_bridge.curobo.parameters import AVAILABLE, Parameters
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.parameters import AVAILABLE, Parameters
 
 _NEEDED = ("planner", "executor")
 _PERIOD = 0.5  # interval (s) of the checks

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from zarm_contract.errors import InvalidRequest
-from zarm_ros_bridge.convergence import Convergence
-from zarm_ros_bridge.convert.motions import MotionRequest
-from zarm_ros_bridge.generations.generation import Generation
+from zarm_ros_bridge.curobo.convergence import Convergence
+from zarm_ros_bridge.curobo.generations.generation import Generation
+from zarm_ros_bridge.curobo.motion_requests import MotionRequest
 
 _ROBOTS = {0: "doosan_m1013", 2: "ur10"}
 """Numbers of SetRobotStrategy that mean whole trajectories to the controller of this robot."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from zarm_ros_bridge.convergence import Convergence
-from zarm_ros_bridge.convert.motions import MotionRequest, filled
-from zarm_ros_bridge.generations.generation import Generation
+from zarm_ros_bridge.curobo.convergence import Convergence
+from zarm_ros_bridge.curobo.generations.generation import Generation
+from zarm_ros_bridge.curobo.motion_requests import MotionRequest, filled
 
 _STATES = {
     "planning": "PLANNING",

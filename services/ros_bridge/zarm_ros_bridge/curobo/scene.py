@@ -12,10 +12,10 @@ from zarm_ros_bridge.answers import with_message, without_words
 from zarm_ros_bridge.convert.colours import Colour, colour_of
 from zarm_ros_bridge.convert.fields import in_terms_of
 from zarm_ros_bridge.convert.joints import known_as
-from zarm_ros_bridge.convert.scene import FIELDS, fill_grid, name_of, object_of
+from zarm_ros_bridge.curobo.generations.generation import Generation
+from zarm_ros_bridge.curobo.objects import FIELDS, fill_grid, name_of, object_of
+from zarm_ros_bridge.curobo.parameters import Parameters
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.generations.generation import Generation
-from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.ros import Ros
 
 if TYPE_CHECKING:

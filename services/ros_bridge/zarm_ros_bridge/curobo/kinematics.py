@@ -15,8 +15,8 @@ from zarm_contract.messages import IkRequest, Pose
 from zarm_ros_bridge.answers import with_error_msg, with_message
 from zarm_ros_bridge.convert.joints import positions_of, ros_positions
 from zarm_ros_bridge.convert.poses import pose_of, ros_pose
+from zarm_ros_bridge.curobo.generations.generation import Generation
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.generations.generation import Generation
 from zarm_ros_bridge.ros import Ros
 
 if TYPE_CHECKING:

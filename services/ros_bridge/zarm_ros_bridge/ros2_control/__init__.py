@@ -1,0 +1,1 @@
+"""The robot and its grippers as controllers of ros2_control."""
