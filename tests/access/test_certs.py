@@ -30,13 +30,13 @@ def made(folder: Path, *arguments: str) -> str:
     return result.stdout
 
 
-def test_each_role_gets_a_certificate_of_its_name_and_a_key_that_its_owner_alone_may_read(certificates: Path) -> None:
+def test_each_role_gets_its_certificate_and_a_private_key(certificates: Path) -> None:
     for role in ROLES:
         assert f"CN={role}" in load_certificate(certificates / f"{role}.pem").subject.rfc4514_string()
         assert stat.S_IMODE((certificates / f"{role}.key").stat().st_mode) == 0o600
 
 
-def test_the_key_of_the_authority_is_in_a_folder_of_its_own_that_others_cannot_enter(certificates: Path) -> None:
+def test_the_authority_s_key_is_in_a_folder_others_cannot_enter(certificates: Path) -> None:
     kept = certificates.with_name("certs-authority")
     assert stat.S_IMODE(kept.stat().st_mode) == 0o700
     assert stat.S_IMODE((kept / "ca.key").stat().st_mode) == 0o600
@@ -66,7 +66,7 @@ def test_run_again_it_adds_hosts_to_what_is_connected_to_alone(tmp_path: Path) -
         assert {"localhost", "127.0.0.1", "workstation", "192.168.7.5"} <= {*hosts}
 
 
-def test_the_page_has_a_certificate_that_nobody_on_the_bus_takes_for_a_router_s(certificates: Path) -> None:
+def test_the_page_s_certificate_is_not_a_router_s(certificates: Path) -> None:
     authority = Authority.load(certificates.with_name(f"{certificates.name}-authority"))
     assert authority.made(load_certificate(certificates / "router.pem"))
     assert not authority.made(load_certificate(certificates / "page.pem"))
@@ -100,7 +100,7 @@ def test_certificates_of_another_authority_are_not_overwritten(tmp_path: Path) -
     assert contents(tmp_path / "certs") == before
 
 
-def test_a_name_that_is_no_host_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+def test_an_invalid_host_name_is_refused_before_anything_is_made(tmp_path: Path) -> None:
     refused = zarm("certs", str(tmp_path / "certs"), "--host", "tcp/10.0.0.1:7447")
     assert refused.returncode == 1
     assert "neither a host name nor an address" in the_one_line(refused.stderr)
@@ -116,7 +116,7 @@ def test_openssl_finds_the_chain_good(certificates: Path) -> None:
         )
 
 
-def test_certificates_that_cannot_be_used_are_refused_with_the_remedy(
+def test_unusable_certificates_are_refused_with_the_remedy(
     certificates: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def reason(folder: Path, role: Role) -> str:
@@ -165,7 +165,7 @@ def test_every_role_may_connect(role: Role, secured: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["router", "up"])
-def test_whoever_listens_beyond_this_machine_without_certificates_is_warned(command: str, certificates: Path) -> None:
+def test_listening_beyond_localhost_without_certificates_warns(command: str, certificates: Path) -> None:
     elsewhere = "tcp/192.0.2.1:7447"  # no address of this machine's: nothing is opened, and the command ends
     with_security = {"ZARM_SECURITY": "on", "ZARM_CERTS": str(certificates)}
     warned = zarm(command, "--listen", elsewhere)

@@ -67,7 +67,7 @@ def test_requests_and_answers_arrive_up_to_the_limit(endpoint: str) -> None:
         assert asked == []
 
 
-def test_a_request_that_no_router_would_pass_on_is_refused_at_once(endpoint: str) -> None:
+def test_a_request_too_large_for_the_router_is_refused_at_once(endpoint: str) -> None:
     request = ExecuteRequest.model_construct(plan_id="p" * MAX_BYTES)
     with Bus(endpoint, role="operator") as bus, pytest.raises(InvalidRequest, match="over the limit"):
         bus.call(KEYS.execute, request, timeout=60)

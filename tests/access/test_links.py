@@ -44,7 +44,7 @@ def test_rights_hold_across_linked_routers(secured: Path, tmp_path: Path) -> Non
         eventually(lambda: operator.alive(KEYS.alive("*", "*")), "the executor is seen from the other router")
 
 
-def test_behind_a_router_with_the_certificate_of_a_viewer_everyone_is_a_viewer(secured: Path, tmp_path: Path) -> None:
+def test_with_a_viewer_certificate_a_router_makes_all_viewers(secured: Path, tmp_path: Path) -> None:
     near = free_endpoint()
     tls = {
         "root_ca_certificate": str(secured / "ca.pem"),

@@ -113,13 +113,13 @@ def keys() -> list[tuple[str, Rights]]:
     ]
 
 
-def test_what_a_role_publishes_is_heard_where_the_table_says_so_and_nowhere_else(sessions: Sessions) -> None:
+def test_a_role_s_publications_are_received_only_as_in_the_table(sessions: Sessions) -> None:
     for key, granted in keys():
         for role in MEMBERS if granted.publishes else ():
             assert sessions.published(role, key, granted.publishes[0]) == (role in granted.publishes), (role, key)
 
 
-def test_what_has_readers_is_heard_by_no_other_role_not_even_by_a_wider_expression(sessions: Sessions) -> None:
+def test_keys_with_readers_reach_no_other_role_by_wildcard(sessions: Sessions) -> None:
     for key, granted in keys():
         if granted.reads == EVERYONE:
             continue
@@ -134,14 +134,14 @@ def test_nobody_answers_in_the_place_of_a_service(sessions: Sessions) -> None:
             assert {*sessions.answered(role, key, granted.asks[0], owner)} == {owner.encode()}, (role, key)
 
 
-def test_who_asks_is_answered_where_the_table_says_so_and_nowhere_else(sessions: Sessions) -> None:
+def test_queries_are_answered_only_as_in_the_table(sessions: Sessions) -> None:
     for key, granted in keys():
         for role in MEMBERS if granted.answers else ():
             (owner,) = granted.answers
             assert bool(sessions.answered(owner, key, role, owner)) == (role in granted.asks), (role, key)
 
 
-def test_what_is_latched_is_read_by_its_readers_and_by_nobody_with_a_wider_expression(sessions: Sessions) -> None:
+def test_latched_values_reach_no_other_role_by_wildcard(sessions: Sessions) -> None:
     for key, granted in keys():
         if not granted.latched:
             continue

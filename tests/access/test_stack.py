@@ -92,7 +92,7 @@ def joints(bus: Bus, up: Up) -> tuple[float, ...]:
 # -- what is allowed works --
 
 
-def test_an_operator_plans_and_drives_the_robot_through_its_driver_and_emulated(up: Up, operator: Bus) -> None:
+def test_an_operator_plans_and_drives_driver_and_emulator(up: Up, operator: Bus) -> None:
     assert "tls/" in up.output()
     for strategy, goal in (("joint_speed", THERE), ("emulator", HOME), ("joint_speed", HOME)):
         done(up, "strategy", strategy)
@@ -112,7 +112,7 @@ def test_an_operator_changes_scene_and_speed_and_stops_the_robot(up: Up, operato
 
 
 @pytest.mark.slow  # the right is in test_rules.py
-def test_a_closed_loop_planner_streams_with_the_certificate_of_an_operator(up: Up, tmp_path: Path) -> None:
+def test_an_operator_streams_from_a_closed_loop_planner(up: Up, tmp_path: Path) -> None:
     done(up, "strategy", "emulator")
     followed = subprocess.run(
         [*example("stream_client.py", "operator", up, tmp_path), "--seconds", "1"], timeout=PATIENCE, check=False
@@ -121,9 +121,7 @@ def test_a_closed_loop_planner_streams_with_the_certificate_of_an_operator(up: U
     done(up, "strategy", "joint_speed")
 
 
-def test_a_driver_without_zarm_tells_its_joints_with_the_certificate_of_one(
-    up: Up, operator: Bus, tmp_path: Path
-) -> None:
+def test_a_third_party_driver_publishes_joints_by_certificate(up: Up, operator: Bus, tmp_path: Path) -> None:
     reported = operator.latest(Keys("other").driver_joint_states)
     driver = subprocess.Popen(
         [*example("zenoh_driver.py", "driver", up, tmp_path), "--robot", "other", "--at", *map(str, HOME)]
@@ -179,9 +177,7 @@ def test_the_zenoh_lines_of_the_documentation_work_as_written(up: Up, tmp_path: 
     assert json.loads(the_one_line(reported.stdout))["mode"] == "idle", reported.stderr
 
 
-def test_a_service_can_be_asked_how_it_is_with_no_certificate_but_its_own(
-    up: Up, certificates: Path, tmp_path: Path
-) -> None:
+def test_health_is_answered_with_a_service_s_own_certificate(up: Up, certificates: Path, tmp_path: Path) -> None:
     for name in ("ca.pem", "planner.pem", "planner.key"):
         (tmp_path / name).symlink_to(certificates / name)
     done(up, "health", "planner", ZARM_CERTS=str(tmp_path), ZARM_ROLE="planner")
@@ -204,7 +200,7 @@ def test_a_viewer_is_told_at_once_what_it_may_not_do(up: Up, command: str) -> No
 
 
 @pytest.mark.parametrize("role", sampled("viewer", "planner", "driver", "executor"))
-def test_whoever_asks_without_zarm_is_not_answered_and_nothing_happens(up: Up, operator: Bus, role: Role) -> None:
+def test_a_client_without_zarm_is_not_answered(up: Up, operator: Bus, role: Role) -> None:
     add = AddObjects(op="add", objects=(BALL,), replace=True)
     operator.call(up.keys.scene_edit, SceneEdit(edit=add), timeout=5)
     operator.call(up.keys.plan, PlanRequest(goal=JointGoal(kind="joints", position=THERE)), timeout=PATIENCE)
@@ -270,7 +266,7 @@ def test_nobody_poses_as_the_executor(up: Up, operator: Bus, role: Role) -> None
     assert caught == []
 
 
-def test_a_record_is_not_published_again_in_the_place_of_an_executor(up: Up, tmp_path: Path) -> None:
+def test_a_record_is_not_replayed_in_place_of_an_executor(up: Up, tmp_path: Path) -> None:
     file = tmp_path / "seen.mcap"
     done(up, "record", str(file), "--seconds", "0.2", "--name", up.keys.robot)
     refused = run(up, "replay", str(file), "--publish", "ghost")
@@ -304,9 +300,7 @@ def with_certificates(folder: Path, role: str, authority: Path) -> dict[str, obj
     }
 
 
-def test_nobody_gets_in_without_a_certificate_that_is_valid_and_of_this_authority(
-    up: Up, certificates: Path, tmp_path: Path
-) -> None:
+def test_only_a_valid_certificate_of_this_authority_connects(up: Up, certificates: Path, tmp_path: Path) -> None:
     issue(certificates, tmp_path / "ended", "operator", now=today() - timedelta(days=9), lasts=timedelta(days=8))
     stranger = tmp_path / "stranger"
     Authority.make(tmp_path / "stranger-authority", today())
@@ -350,9 +344,7 @@ def test_a_client_of_another_authority_is_told_so(up: Up, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow  # the reason is in test_certs.py
-def test_a_service_with_a_certificate_that_has_ended_says_so_and_ends(
-    up: Up, certificates: Path, tmp_path: Path
-) -> None:
+def test_a_service_with_an_expired_certificate_ends_and_says_so(up: Up, certificates: Path, tmp_path: Path) -> None:
     issue(certificates, tmp_path, "planner", now=today() - timedelta(days=9), lasts=timedelta(days=8))
     settings = {name: value for name, value in up.variables.items() if name.startswith("ZARM_")}
     command = [sys.executable, "-m", "zarm_planner.service", "--connect", up.endpoint, "--name", "other"]

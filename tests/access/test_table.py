@@ -42,7 +42,7 @@ def test_only_the_executor_commands_a_driver() -> None:
 
 
 @pytest.mark.parametrize("key", NOT_OF_AGENTS)
-def test_only_operators_and_the_bridge_steer_the_robot_and_change_how_it_works(key: str) -> None:
+def test_only_operators_and_the_bridge_command_and_configure(key: str) -> None:
     assert {role for role in ROLES if _may(role, key)} == {"operator", "bridge"}
 
 
@@ -55,7 +55,7 @@ def test_agents_execute_and_change_what_is_planned_around_too(key: str) -> None:
     assert clients == {"operator", "bridge", "agent"}
 
 
-def test_who_moves_the_robot_cannot_read_the_truth_of_a_simulation() -> None:
+def test_who_moves_the_robot_cannot_read_the_simulation_s_truth() -> None:
     for key in (KEYS.physics_state, KEYS.physics_objects):
         for role in ("planner", "servo", "executor", "bridge"):
             with pytest.raises(InvalidRequest, match="that is for the role operator or viewer"):
@@ -63,7 +63,7 @@ def test_who_moves_the_robot_cannot_read_the_truth_of_a_simulation() -> None:
         require("viewer", "reads", key)
 
 
-def test_the_servo_may_ask_for_plans_too_for_it_steers_around_what_is_in_the_way() -> None:
+def test_the_servo_may_request_plans() -> None:
     assert {role for role in ROLES if _may(role, KEYS.plan)} == {"operator", "bridge", "agent", "servo"}
 
 

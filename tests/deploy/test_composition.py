@@ -111,7 +111,7 @@ def test_a_service_that_crashes_is_back_with_all_that_it_knew(robot: Composition
     go(robot, 0.3)
 
 
-def test_a_robot_in_motion_is_brought_to_rest_before_its_container_stops(robot: Composition, bus: Bus) -> None:
+def test_a_moving_robot_rests_before_its_container_stops(robot: Composition, bus: Bus) -> None:
     client = Client(bus)
     start = joints(bus)
     goal = client.execute(rest_to_rest(moved(1.2), start, slower=10.0))  # compose takes its time
@@ -140,9 +140,7 @@ def test_the_simulated_driver_is_moved_over_ros(robot: Composition, bus: Bus) ->
     robot.compose("--profile", "sim", "rm", "-sf", "leeloo_sim")
 
 
-def test_another_robot_and_one_of_the_users_own_are_a_setting_away(
-    robot: Composition, bus: Bus, tmp_path: Path
-) -> None:
+def test_another_robot_or_the_user_s_own_takes_one_setting(robot: Composition, bus: Bus, tmp_path: Path) -> None:
     own = (ROBOTS / "ur5e.yaml").read_text().replace("name: ur5e", "name: mine", 1)
     (tmp_path / "mine.yaml").write_text(own)
     shutil.copy(ROBOTS / "ur5e.urdf", tmp_path)
@@ -157,7 +155,7 @@ def test_another_robot_and_one_of_the_users_own_are_a_setting_away(
         np.testing.assert_allclose(joints(bus, keys), target, atol=1e-3)
 
 
-def test_with_security_on_only_certificates_are_let_in_and_each_container_has_its_own(tmp_path: Path) -> None:
+def test_with_security_each_container_has_its_own_certificate(tmp_path: Path) -> None:
     certificates = tmp_path / "certs"
     with Composition("compose.security.yaml") as robot:
         robot.zarm("certs", str(certificates), "--host", "router")

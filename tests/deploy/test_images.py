@@ -48,7 +48,7 @@ def test_an_image_holds_no_compiler_no_tests_and_nothing_secret(service: str) ->
 
 
 @every_image
-def test_an_image_says_what_it_is_and_runs_as_nobody_in_particular(service: str) -> None:
+def test_an_image_is_labelled_and_runs_without_root(service: str) -> None:
     config = json.loads(docker("image", "inspect", "-f", "{{json .Config}}", image(service)).stdout)
     assert config["Labels"]["org.opencontainers.image.version"] == PROJECT["version"]
     assert config["Labels"]["org.opencontainers.image.licenses"] == PROJECT["license"]
@@ -64,14 +64,14 @@ def test_the_files_of_an_image_belong_to_somebody_else(service: str) -> None:
     assert said(service, "find", "/opt/zarm", "-writable", "-not", "-type", "l") == ""
 
 
-def test_the_kernels_in_the_image_of_the_planner_are_used_as_they_are() -> None:
+def test_the_planner_image_uses_its_compiled_kernels() -> None:
     options = (*READ_ONLY, "--env=NUMBA_DEBUG_CACHE=1")
     reported = said("planner", "python", "-m", "zarm_planner.warm_up", options=options)
     assert "data loaded from '/var/lib/zarm/kernels" in reported
     assert "data saved" not in reported
 
 
-def test_on_another_cpu_the_planner_compiles_kernels_of_its_own_and_keeps_them() -> None:
+def test_on_another_cpu_the_planner_compiles_and_keeps_kernels() -> None:
     script = """
 import numpy as np
 from zarm_contract.robot import load_robot

@@ -95,7 +95,7 @@ def disk(tmp_path: Path) -> Iterator[Disk]:
         yield disk
 
 
-def test_a_motion_goes_on_over_a_full_disk_and_the_next_one_is_refused_until_there_is_room(
+def test_a_motion_survives_a_full_disk_and_the_next_is_refused(
     bus: Bus, endpoint: str, tmp_path: Path, disk: Disk
 ) -> None:
     saved = disk.folder / KEYS.robot / "emulated_robot.json"
@@ -137,9 +137,7 @@ def test_a_motion_goes_on_over_a_full_disk_and_the_next_one_is_refused_until_the
 
 
 @pytest.mark.slow
-def test_an_executor_does_not_start_to_emulate_over_a_full_disk_and_says_why(
-    endpoint: str, tmp_path: Path, disk: Disk
-) -> None:
+def test_the_emulator_does_not_start_on_a_full_disk_and_says_why(endpoint: str, tmp_path: Path, disk: Disk) -> None:
     disk.fill()
     with ServiceProcess("executor", endpoint, tmp_path, arguments=disk.state()) as executor:
         assert executor.process.wait(PATIENCE) == 1
@@ -149,9 +147,7 @@ def test_an_executor_does_not_start_to_emulate_over_a_full_disk_and_says_why(
 
 
 @pytest.mark.slow
-def test_a_real_robot_is_stopped_over_a_full_disk_as_ever_and_not_moved(
-    bus: Bus, endpoint: str, tmp_path: Path, disk: Disk
-) -> None:
+def test_a_full_disk_stops_a_real_robot_and_moves_nothing(bus: Bus, endpoint: str, tmp_path: Path, disk: Disk) -> None:
     with ExitStack() as stack:
         robot = DrivenFrom(disk, bus, endpoint, tmp_path, "joint_speed")
         robot.driver = stack.enter_context(robot.new_driver())
@@ -183,7 +179,7 @@ def test_a_real_robot_is_stopped_over_a_full_disk_as_ever_and_not_moved(
 
 
 @pytest.mark.slow  # files of state are in unit/runtime/test_state_file.py
-def test_a_scene_is_not_changed_over_a_full_disk_and_the_old_one_is_kept(
+def test_a_full_disk_refuses_scene_edits_and_keeps_the_old_scene(
     bus: Bus, endpoint: str, tmp_path: Path, disk: Disk
 ) -> None:
     file = disk.folder / KEYS.robot / "scene.json"

@@ -37,7 +37,7 @@ def moving(robot: Driven) -> Driven:
 
 @pytest.mark.slow  # as one that falls silent, in test_fault_table.py, and whose joints come back, in unit/executor/test_silent_driver.py
 @pytest.mark.timed
-def test_a_driver_that_dies_leads_to_a_fault_and_a_new_one_does_not_move_by_itself(moving: Driven) -> None:
+def test_a_dead_driver_is_a_fault_and_a_new_one_does_not_move(moving: Driven) -> None:
     moving.driver.kill()
     moving.fault("driver_stalled")
     at = [str(value) for value in moving.arm()]
@@ -62,7 +62,7 @@ def test_a_driver_that_plays_late_is_stopped(robot: Driven) -> None:
 
 
 @pytest.mark.parametrize("robot", [WHOLE], indirect=True)
-def test_an_executor_that_comes_back_stops_the_driver_that_still_plays(robot: Driven) -> None:
+def test_a_restarted_executor_stops_the_driver_that_still_plays(robot: Driven) -> None:
     goal_id = robot.client.execute(rest_to_rest(FAR, slower=6.0))
     robot.client.under_way(goal_id, 0.1)
     robot.executor.kill()
@@ -81,7 +81,7 @@ def test_some_lost_chunks_do_no_harm(robot: Driven) -> None:
 
 
 @pytest.mark.slow
-def test_a_driver_that_still_plays_is_stopped_as_soon_as_the_router_is_back(tmp_path: Path) -> None:
+def test_a_playing_driver_is_stopped_once_the_router_is_back(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     with ExitStack() as stack:
         first = stack.enter_context(ExitStack())

@@ -32,7 +32,7 @@ SPEED = float(np.max(ROBOT.descriptor.cspace.velocity))
 
 
 @pytest.mark.slow
-def test_killed_in_motion_it_comes_back_at_rest_where_it_was_and_reports_the_goal_as_aborted(
+def test_killed_in_motion_it_restarts_at_rest_goal_aborted(
     executor: ServiceProcess, client: Client, endpoint: str, tmp_path: Path
 ) -> None:
     goal_id = client.execute(SLOW)
@@ -76,9 +76,7 @@ def test_killed_at_rest_it_comes_back_exactly_where_it_stood(
             client.goal(goal_id)
 
 
-def test_killed_it_comes_back_no_faster_than_it_was_told_nor_than_its_descriptor_says(
-    endpoint: str, bus: Bus, tmp_path: Path
-) -> None:
+def test_killed_it_restarts_no_faster_than_before(endpoint: str, bus: Bus, tmp_path: Path) -> None:
     slow = descriptor_at(100, tmp_path / "slow")
     slow.write_text(slow.read_text().replace("control_rate: 100", "control_rate: 100, speed_scale: 0.2"))
     for robot, reported, then in ((ROBOT.descriptor.name, 0.3, 0.3), (str(slow), 1.0, 0.2), (str(slow), None, 0.2)):
@@ -93,9 +91,7 @@ def test_killed_it_comes_back_no_faster_than_it_was_told_nor_than_its_descriptor
 
 
 @pytest.mark.slow
-def test_frozen_in_motion_it_stops_without_a_jump_and_is_in_fault_until_reset(
-    executor: ServiceProcess, client: Client
-) -> None:
+def test_frozen_in_motion_it_stops_without_a_jump_in_fault(executor: ServiceProcess, client: Client) -> None:
     goal_id = client.execute(SLOW)
     client.under_way(goal_id)
     os.kill(executor.process.pid, signal.SIGSTOP)
@@ -130,7 +126,7 @@ def test_frozen_at_rest_it_goes_on_as_if_nothing_had_been(executor: ServiceProce
 
 
 @pytest.mark.slow
-def test_what_was_asked_of_it_long_ago_while_it_was_frozen_does_not_start(
+def test_a_request_that_expired_during_a_freeze_does_not_start(
     executor: ServiceProcess, client: Client, bus: Bus
 ) -> None:
     os.kill(executor.process.pid, signal.SIGSTOP)
@@ -150,7 +146,7 @@ def test_what_was_asked_of_it_long_ago_while_it_was_frozen_does_not_start(
 
 
 @pytest.mark.slow
-def test_to_go_on_asked_of_it_long_ago_while_it_was_frozen_moves_nothing(
+def test_a_resume_that_expired_during_a_freeze_moves_nothing(
     executor: ServiceProcess, client: Client, bus: Bus
 ) -> None:
     goal_id = client.execute(SLOW)
@@ -168,7 +164,7 @@ def test_to_go_on_asked_of_it_long_ago_while_it_was_frozen_moves_nothing(
     np.testing.assert_allclose(client.position(), held, atol=1e-9)
 
 
-def test_told_to_end_in_motion_it_comes_to_rest_first_and_ends_well(
+def test_on_sigterm_in_motion_it_stops_first_and_exits_cleanly(
     executor: ServiceProcess, client: Client, endpoint: str, tmp_path: Path
 ) -> None:
     goal_id = client.execute(SLOW)
@@ -191,7 +187,7 @@ def test_told_to_end_in_motion_it_comes_to_rest_first_and_ends_well(
 
 
 @pytest.mark.slow
-def test_a_storm_of_cancels_is_answered_one_by_one_and_stops_the_goal_once(client: Client) -> None:
+def test_a_storm_of_cancels_is_answered_and_stops_the_goal_once(client: Client) -> None:
     goal_id = client.execute(SLOW)
     client.under_way(goal_id)
     names = [goal_id if number % 2 else f"goal-{number}" for number in range(1000)]
@@ -226,7 +222,7 @@ def test_of_a_storm_of_requests_one_moves_the_robot(client: Client) -> None:
 
 
 @pytest.mark.slow
-def test_without_a_router_the_motion_goes_on_to_its_end_and_is_seen_again_later(tmp_path: Path) -> None:
+def test_without_a_router_the_motion_ends_and_is_visible_later(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     with ExitStack() as stack:
         first = stack.enter_context(ExitStack())
@@ -251,7 +247,7 @@ def test_without_a_router_the_motion_goes_on_to_its_end_and_is_seen_again_later(
         assert client.ended(client.execute(rest_to_rest(moved(1.4, -0.5), moved(1.5, -0.5)))).status == "succeeded"
 
 
-def test_of_two_executors_that_meet_after_a_router_was_away_the_younger_stops_its_robot_and_ends(
+def test_of_two_executors_that_meet_the_younger_stops_and_ends(
     tmp_path: Path,
 ) -> None:
     endpoint = free_endpoint()

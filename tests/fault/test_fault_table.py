@@ -408,7 +408,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
         if row.wired == wired and strategy in row.promises
     ],
 )
-def test_after_a_fault_the_robot_rests_in_time_says_why_and_can_go_on(
+def test_after_a_fault_the_robot_rests_says_why_and_recovers(
     stage: Stage, note: Callable[..., None], strategy: str, row: Row
 ) -> None:
     if row.wired and not STEPPABLE:

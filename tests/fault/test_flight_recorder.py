@@ -88,7 +88,7 @@ def test_every_fault_has_a_record_of_its_own(moving: Driven) -> None:
 
 
 @pytest.mark.slow
-def test_a_record_that_cannot_be_written_is_a_warning_and_the_executor_goes_on(moving: Driven) -> None:
+def test_an_unwritable_record_is_a_warning_and_nothing_else(moving: Driven) -> None:
     (moving.folder / KEYS.robot / "records").write_text("a file where the folder is to be")
     moving.set_fault(DriverFault(stall=True))
     moving.fault("tolerance_violated")
@@ -98,7 +98,7 @@ def test_a_record_that_cannot_be_written_is_a_warning_and_the_executor_goes_on(m
 
 
 @pytest.mark.slow
-def test_a_fault_is_on_record_even_if_the_executor_is_told_to_end_at_once(moving: Driven) -> None:
+def test_a_fault_is_on_record_even_if_the_executor_ends_at_once(moving: Driven) -> None:
     moving.set_fault(DriverFault(stall=True))
     moving.fault("tolerance_violated")
     moving.executor.process.terminate()
@@ -107,7 +107,7 @@ def test_a_fault_is_on_record_even_if_the_executor_is_told_to_end_at_once(moving
 
 
 @pytest.mark.slow
-def test_a_disk_that_fills_while_the_record_is_written_leaves_no_half_of_it(moving: Driven) -> None:
+def test_a_disk_that_fills_leaves_no_partial_record(moving: Driven) -> None:
     pid = moving.executor.process.pid
     _, hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (20_000, hard))

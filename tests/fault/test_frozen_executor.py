@@ -25,9 +25,7 @@ RUNS = int(os.environ.get("FREEZE_RUNS", "2"))
     ("strategy", "plays"),
     [("joint_speed", "velocity"), ("joint_pose", "position"), ("joint_trajectory", "velocity")],
 )
-def test_after_a_moment_in_which_the_executor_stood_still_the_goal_is_reached_and_nobody_is_blamed(
-    tmp_path: Folder, strategy: str, plays: Kind
-) -> None:
+def test_after_a_short_freeze_the_goal_is_reached(tmp_path: Folder, strategy: str, plays: Kind) -> None:
     chance = random.Random(strategy)
     with ExitStack() as stack:
         place = Arena(stack, tmp_path, strategy, wired=False, plays=plays)

@@ -17,7 +17,7 @@ SCRIPT = str(PROGRAMS / "failing_preview.py")
 BAD, GOOD = plan("plan-bad", rest_to_rest(moved(0.4))), plan("plan-good", rest_to_rest(moved(0.0, -0.3)))
 
 
-def test_a_preview_that_fails_stops_nothing_and_shows_the_next_plan(bus: Bus, endpoint: str, tmp_path: Path) -> None:
+def test_a_failing_preview_stops_nothing_and_shows_the_next_plan(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     with ServiceProcess("executor", endpoint, tmp_path, script=SCRIPT) as executor:
         executor.wait_ready(bus, KEYS)
         client, shown = Client(bus), []

@@ -251,9 +251,7 @@ def shout(ears: Sequence[Ear], endpoint: str, sizes: Sizes) -> int:
 
 
 @pytest.mark.timeout(100 + COUNT / 20)
-def test_the_executor_and_the_driver_take_any_payload_and_the_robot_stands(
-    bus: Bus, endpoint: str, tmp_path: Path
-) -> None:
+def test_executor_and_driver_survive_any_payload_at_rest(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     with driven(bus, endpoint, tmp_path, "joint_speed") as robot:
         first = robot.at_rest()
         sizes = Sizes(robot.executor, robot.driver)

@@ -37,7 +37,7 @@ def ends_in_order(process: ServiceProcess) -> None:
     assert "Traceback" not in process.output()
 
 
-def test_a_planner_is_replaced_while_the_robot_moves_and_clients_ask(
+def test_a_planner_is_replaced_while_the_robot_moves(
     executor: ServiceProcess, client: Client, endpoint: str, bus: Bus, tmp_path: Path
 ) -> None:
     with ExitStack() as stack:
@@ -73,9 +73,7 @@ def test_a_planner_is_replaced_while_the_robot_moves_and_clients_ask(
         askers.all_right_again()
 
 
-def test_an_executor_brakes_before_it_is_replaced_and_the_robot_stays_where_it_is(
-    endpoint: str, bus: Bus, tmp_path: Path
-) -> None:
+def test_an_executor_brakes_before_it_is_replaced(endpoint: str, bus: Bus, tmp_path: Path) -> None:
     with ExitStack() as stack:
         old = stack.enter_context(ServiceProcess("executor", endpoint, tmp_path))
         old.wait_ready(bus, KEYS)
@@ -106,9 +104,7 @@ def test_an_executor_brakes_before_it_is_replaced_and_the_robot_stays_where_it_i
         askers.all_right_again()
 
 
-def test_a_driver_is_replaced_while_the_robot_rests_and_the_executor_goes_on(
-    endpoint: str, bus: Bus, tmp_path: Path
-) -> None:
+def test_a_driver_is_replaced_while_the_robot_rests(endpoint: str, bus: Bus, tmp_path: Path) -> None:
     with driven(bus, endpoint, tmp_path, "joint_speed") as arm, ExitStack() as stack:
         questions = {"state": lambda: arm.client.state().mode == "idle", "speed": lambda: arm.client.speed() == 1.0}
         with asking(**questions) as askers:
@@ -129,7 +125,7 @@ def _available(bus: Bus) -> bool:
     return any(one.available for one in strategies if one.name == "joint_speed")
 
 
-def test_a_router_is_replaced_while_the_robot_moves_and_everybody_finds_the_new_one(tmp_path: Path) -> None:
+def test_a_router_is_replaced_while_the_robot_moves(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     with ExitStack() as stack:
         old = stack.enter_context(ExitStack())

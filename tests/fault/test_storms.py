@@ -73,7 +73,7 @@ def brakes_once(robot: Driven, first: int) -> bool:
     return bool(np.all(speed[int(speed.argmax()) :] <= slowest + RIPPLE))
 
 
-def test_of_a_thousand_cancels_each_is_answered_and_the_robot_brakes_once(robot: Driven, endpoint: str) -> None:
+def test_a_thousand_cancels_are_answered_and_brake_once(robot: Driven, endpoint: str) -> None:
     with Storm(endpoint) as clients:
         goal_id = robot.client.execute(THERE)
         cancels = [CancelRequest(goal_id=goal_id if number % 2 else f"goal-{number}") for number in range(1000)]
@@ -90,7 +90,7 @@ def test_of_a_thousand_cancels_each_is_answered_and_the_robot_brakes_once(robot:
     robot.works_again()
 
 
-def test_of_a_hundred_requests_to_move_one_does_and_the_others_are_refused(robot: Driven, endpoint: str) -> None:
+def test_of_a_hundred_execute_requests_one_is_accepted(robot: Driven, endpoint: str) -> None:
     answers = storm(endpoint, [(KEYS.execute, ExecuteRequest(trajectory=THERE))] * 100)
     assert Counter(answer.code for answer in answers) == {"ok": 1, "busy": 99}
     (accepted,) = (decode(Accepted, answer.reply.encode()) for answer in answers if answer.code == "ok")
@@ -101,9 +101,7 @@ def test_of_a_hundred_requests_to_move_one_does_and_the_others_are_refused(robot
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_of_many_switches_at_once_each_is_answered_and_one_strategy_is_active(
-    robot: Driven, endpoint: str, seed: int
-) -> None:
+def test_concurrent_switches_are_answered_and_leave_one_strategy(robot: Driven, endpoint: str, seed: int) -> None:
     reported: list[Strategies] = []
     robot.bus.subscribe(KEYS.strategy, lambda _, strategies: reported.append(strategies))
     choice = random.Random(seed)
@@ -147,9 +145,7 @@ def test_of_many_switches_at_once_each_is_answered_and_one_strategy_is_active(
     robot.at_rest()
 
 
-def test_of_many_pauses_and_resumes_at_once_each_is_answered_and_the_goal_is_reached(
-    robot: Driven, endpoint: str
-) -> None:
+def test_concurrent_pauses_and_resumes_still_reach_the_goal(robot: Driven, endpoint: str) -> None:
     choice = random.Random(3)
     with Storm(endpoint) as clients:
         goal_id = robot.client.execute(THERE)

@@ -47,7 +47,7 @@ def test_a_killed_planner_comes_back_with_its_scene(up: Up) -> None:
 
 
 @pytest.mark.slow
-def test_an_executor_killed_in_motion_comes_back_idle_where_the_robot_stopped(up: Up, tmp_path: Path) -> None:
+def test_an_executor_killed_in_motion_restarts_idle_in_place(up: Up, tmp_path: Path) -> None:
     with Bus(up.endpoint) as bus:
         old = pid(bus, "executor")
         joints = bus.latest(KEYS.joint_states)

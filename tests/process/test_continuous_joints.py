@@ -46,9 +46,7 @@ def begun(robot: zarm.Robot) -> None:
 
 
 @pytest.mark.parametrize(("way", "turns"), sampled((2.9, -3), (-3.0, 2), (-0.4, 2), (0.0, -3), (-3.0, 0)))
-def test_a_joint_goal_is_reached_the_short_way_however_its_angle_is_counted(
-    robot: zarm.Robot, way: float, turns: int
-) -> None:
+def test_a_continuous_joint_takes_the_short_way(robot: zarm.Robot, way: float, turns: int) -> None:
     plan = robot.plan((15.0 + way + turns * TURN, *BEGIN[1:]))
     turned = np.array(plan.trajectory.position)[:, 0]
     assert (turned[0], turned[-1]) == pytest.approx((15.0, 15.0 + way), abs=1e-3)

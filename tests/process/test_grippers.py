@@ -213,7 +213,7 @@ def test_fingers_that_open_beside_nothing_hold_no_guarded_arm(cell: Cell) -> Non
     assert [state.hold for state in states if state.hold is not None] == []
 
 
-def test_a_tracked_target_beside_a_pin_is_reached_with_closed_fingers_alone(cell: Cell) -> None:
+def test_a_target_beside_a_pin_is_tracked_with_closed_fingers(cell: Cell) -> None:
     start, to = (0.6, *HOME[1:]), (0.2, *HOME[1:])
     pin = link_pose(PANDA, "panda_leftfinger", to) @ [0.0, 0.012, 0.044, 1.0]
     ball = zarm.Sphere("pin", radius=0.004, position=pin[:3])
@@ -351,7 +351,7 @@ def test_a_robot_without_grippers_says_so(tmp_path: Path) -> None:
             robot.gripper.open()
 
 
-def test_a_gripper_that_is_not_there_is_named_with_those_that_are(cell: Cell) -> None:
+def test_an_unknown_gripper_is_refused_with_those_that_exist(cell: Cell) -> None:
     with pytest.raises(zarm.InvalidRequest, match="panda has no gripper claw, but hand"):
         cell.robot.gripper.state("claw")
     assert set(cell.robot.gripper.all()) == {"hand"}

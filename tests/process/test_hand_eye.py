@@ -97,7 +97,7 @@ def test_a_camera_in_hand_is_found_where_it_is(robot: Robot, tmp_path: Path) -> 
     assert robot.joint_state().position == pytest.approx(ABOVE, abs=1e-3)
 
 
-def test_a_camera_beside_the_robot_is_found_by_a_board_on_the_arm(robot: Robot) -> None:
+def test_hand_eye_calibration_finds_a_fixed_camera(robot: Robot) -> None:
     flange = MODEL.fk_tip(np.array(ABOVE))
     x, y, z = flange[:3, 3].tolist()
     looking = zarm.Camera("eye", position=(1.2, -0.3, 0.6), look_at=(x, y, z), **PIXELS)

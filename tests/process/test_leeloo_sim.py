@@ -33,9 +33,7 @@ def test_it_refuses_ros_that_it_cannot_speak(robot: str, words: str, endpoint: s
 
 @pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="this system knows no real-time priority")
 @pytest.mark.parametrize("service", ["executor", "leeloo_sim"])
-def test_both_sides_of_a_driver_have_real_time_priority_where_it_is_allowed(
-    service: str, bus: Bus, endpoint: str, tmp_path: Path
-) -> None:
+def test_driver_and_executor_have_real_time_priority(service: str, bus: Bus, endpoint: str, tmp_path: Path) -> None:
     asked = subprocess.run([sys.executable, "-c", ASK], capture_output=True, text=True, check=True)
     wanted = os.SCHED_RR if asked.stdout == "True\n" else os.SCHED_OTHER
     with ServiceProcess(service, endpoint, tmp_path) as process:

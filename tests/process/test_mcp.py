@@ -152,7 +152,7 @@ def test_an_agent_plans_looks_at_the_plan_and_executes_it_once(cell: Cell) -> No
     ]  # fmt: skip
 
 
-def test_plans_keep_the_whole_arm_and_its_speed_inside_the_policy(cell: Cell) -> None:
+def test_plans_keep_the_whole_arm_inside_the_policy(cell: Cell) -> None:
     async def use(agent: Agent) -> None:
         down = await agent.refused("plan_to_pose", position=[0.4, 0.3, -0.1])
         assert "wrist_3_link" in down
@@ -206,7 +206,7 @@ def test_a_person_approves_what_the_policy_says(cell: Cell, answer: str) -> None
     assert {"execute" in text and "move the tip to" in text for text in asked} == {True}
 
 
-def test_a_stop_is_possible_while_the_robot_moves_and_after_too_many_calls(cell: Cell) -> None:
+def test_a_stop_is_possible_in_motion_and_beyond_the_rate_limit(cell: Cell) -> None:
     async def use(agent: Agent) -> None:
         plan = await agent.get("plan_to_joints", joints=[-2.5, *HOME[1:]])
         outcome: list[str] = []
@@ -227,7 +227,7 @@ def test_a_stop_is_possible_while_the_robot_moves_and_after_too_many_calls(cell:
     assert away(cell) < 1.0
 
 
-def test_an_agent_slows_the_robot_down_but_not_up_beyond_what_somebody_else_has_set(cell: Cell) -> None:
+def test_an_agent_cannot_exceed_the_speed_set_by_others(cell: Cell) -> None:
     async def use(agent: Agent) -> None:
         await agent.get("set_speed", scale=0.5)
         await agent.get("set_speed", scale=1.0)
@@ -378,7 +378,7 @@ def test_nothing_an_agent_says_moves_the_robot_out_of_the_policy(cell: Cell) -> 
     cell.robot.speed(1.0)
 
 
-def test_a_policy_that_cannot_be_read_is_named_with_file_and_line(cell: Cell) -> None:
+def test_an_unreadable_policy_is_named_with_file_and_line(cell: Cell) -> None:
     file = cell.folder / "wrong.yaml"
     file.write_text("joint_speed: 0.3\ntool_speeed: 0.1\nworkspace: {lower: [0, 0, 1], upper: [1, 1, 0]}\n")
     ended = run_zarm("mcp", "--robot", "ur5e", "--policy", str(file), "--connect", cell.endpoint, timeout=PATIENCE)

@@ -58,7 +58,7 @@ def metered(service: str, endpoint: str, folder: Path, *arguments: str) -> Itera
         Scraped(where)
 
 
-def test_plans_their_times_and_the_answers_to_queries_are_counted(endpoint: str, bus: Bus, tmp_path: Path) -> None:
+def test_plans_their_times_and_query_answers_are_counted(endpoint: str, bus: Bus, tmp_path: Path) -> None:
     with metered("planner", endpoint, tmp_path) as (process, where):
         health = process.wait_ready(bus, KEYS)
 
@@ -84,7 +84,7 @@ def test_plans_their_times_and_the_answers_to_queries_are_counted(endpoint: str,
         assert seen["process_resident_memory_bytes"] > 1e7
 
 
-def test_goals_faults_and_ticks_are_counted_and_the_age_of_joints_told(endpoint: str, bus: Bus, tmp_path: Path) -> None:
+def test_goals_faults_ticks_and_joint_age_are_exported(endpoint: str, bus: Bus, tmp_path: Path) -> None:
     with (
         ServiceProcess("leeloo_sim", endpoint, tmp_path) as driver,
         metered("executor", endpoint, tmp_path, "--strategy", "joint_speed") as (process, where),
@@ -114,9 +114,7 @@ def test_goals_faults_and_ticks_are_counted_and_the_age_of_joints_told(endpoint:
 
 
 @pytest.mark.slow
-def test_a_port_that_is_taken_and_what_is_no_address_end_the_service_with_a_sentence(
-    endpoint: str, bus: Bus, tmp_path: Path
-) -> None:
+def test_an_unusable_metrics_address_ends_the_service(endpoint: str, bus: Bus, tmp_path: Path) -> None:
     with metered("executor", endpoint, tmp_path) as (first, where):
         first.wait_ready(bus, KEYS)
         for wrong, reason in ((where, "cannot serve metrics at"), ("here", "is not an address for metrics")):
@@ -127,7 +125,7 @@ def test_a_port_that_is_taken_and_what_is_no_address_end_the_service_with_a_sent
                 assert "Traceback" not in second.output()
 
 
-def test_several_robots_of_one_process_are_told_apart_by_their_label() -> None:
+def test_robots_of_one_process_have_labels_in_metrics() -> None:
     where = free_address()
     with serve_metrics(where) as metrics_of:
         for robot, age in (("left", 1.0), ("right", None)):

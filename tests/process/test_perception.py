@@ -95,7 +95,7 @@ def test_a_robot_that_is_to_be_slow_in_a_stale_map_is_slow(tmp_path: Path) -> No
         eventually(lambda: robot.plan(BACK, start=THERE).trajectory.time[-1] < 1.5 * quick, "plans are quick again")
 
 
-def test_a_perception_that_begins_again_frees_what_has_gone_meanwhile(tmp_path: Path) -> None:
+def test_a_restarted_perception_frees_what_has_gone(tmp_path: Path) -> None:
     with cell_of(tmp_path) as cell:
         cell.world(FLOOR, POST)
         cell.look(FRONT)
@@ -122,7 +122,7 @@ LONGEST = 300.0
 
 
 @pytest.mark.timeout(LONGEST + 60.0)
-def test_the_example_picks_what_a_camera_sees_and_puts_it_into_the_tray(tmp_path: Path) -> None:
+def test_the_example_picks_from_a_camera_image_into_the_tray(tmp_path: Path) -> None:
     fine = ("--box=0.2,-0.5,0.015,0.8,0.6,0.6", "--resolution", "0.01")
     with cell_of(tmp_path, "panda", "blocks", fine) as cell:
         seen = camera("front", (1.1, -0.25, 0.75), (0.45, 0.0, 0.0))
@@ -161,7 +161,7 @@ def cell(shared: Cell) -> Cell:
     return shared
 
 
-def test_what_cameras_see_is_avoided_and_the_robot_is_not_in_its_own_way(cell: Cell) -> None:
+def test_what_cameras_see_is_avoided_except_the_robot_itself(cell: Cell) -> None:
     cell.world(FLOOR, POST)
     state = cell.look(FRONT, SIDE)
     assert not state.stale
@@ -187,7 +187,7 @@ def test_what_cameras_see_is_avoided_and_the_robot_is_not_in_its_own_way(cell: C
     assert rows.distances(cell.points, robot).min() > 0.01, "its own motion has left nothing in the map"
 
 
-def test_a_motion_stops_for_what_comes_in_and_goes_on_when_it_has_gone(cell: Cell) -> None:
+def test_a_motion_stops_for_an_intruder_and_resumes(cell: Cell) -> None:
     cell.world(FLOOR)
     cell.look(FRONT, SIDE)
     cell.robot.execute(cell.robot.plan(BACK))
@@ -203,7 +203,7 @@ def test_a_motion_stops_for_what_comes_in_and_goes_on_when_it_has_gone(cell: Cel
     assert not touched & {*UR5E.descriptor.collision}
 
 
-def test_a_camera_on_the_wrist_sees_the_same_world_from_everywhere(cell: Cell) -> None:
+def test_a_wrist_camera_sees_the_same_world_from_everywhere(cell: Cell) -> None:
     low = Cuboid(kind="cuboid", name="low", position=(0.5, 0.1, -0.22), size=(0.15, 0.15, 0.14))
     cell.world(FLOOR, low)
     wrist = camera("wrist", (0.08, 0.0, 0.02), (0.08, 0.001, 1.0), link=UR5E.descriptor.tip_link)

@@ -83,7 +83,7 @@ def test_what_is_planned_is_driven_by_every_strategy(strategy: str, tmp_path: Pa
         assert max(map(abs, cell.robot.joint_state().effort or ())) > 10.0, "and say so"
 
 
-def test_a_cube_is_gripped_carried_and_put_down_by_friction_alone(tmp_path: Path) -> None:
+def test_a_cube_is_picked_and_placed_by_friction_alone(tmp_path: Path) -> None:
     (tmp_path / "world.yaml").write_text(WORLD, encoding="utf-8")
     with cell_of(tmp_path, "panda", "--world", str(tmp_path / "world.yaml")) as cell:
         cell.robot.scene.add(zarm.Cuboid("cube", size=(0.04, 0.04, 0.04), position=(0.5, 0.0, 0.0205)))

@@ -27,9 +27,7 @@ HOME = load_robot("doosan_m1013").descriptor.home
 SPEEDS = "velocity: [1.2, 1.2, 1.2, 1.2, 1.2, 1.2]"
 
 
-def test_limits_in_a_changed_file_hold_for_what_is_planned_and_executed_from_then_on(
-    endpoint: str, bus: Bus, tmp_path: Path
-) -> None:
+def test_changed_limits_apply_to_new_plans_and_motions(endpoint: str, bus: Bus, tmp_path: Path) -> None:
     for name in ("doosan_m1013.yaml", "doosan_m1013.urdf"):
         (tmp_path / name).write_bytes((ROBOTS / name).read_bytes())
     file = tmp_path / "doosan_m1013.yaml"

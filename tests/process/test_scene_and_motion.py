@@ -46,7 +46,7 @@ def assert_stale(client: Client, made: Plan) -> None:
 
 
 @pytest.mark.parametrize("edits", sampled(1, 0, 2))
-def test_a_plan_from_before_the_file_of_the_scene_was_lost_is_stale_however_often_the_new_one_is_edited(
+def test_a_plan_from_before_the_scene_file_was_lost_is_stale(
     client: Client, endpoint: str, bus: Bus, tmp_path: Path, edits: int
 ) -> None:
     with ServiceProcess("planner", endpoint, tmp_path) as first:
@@ -78,7 +78,7 @@ def test_a_plan_made_in_another_folder_for_state_is_stale(
 
 
 @pytest.mark.slow
-def test_a_plan_from_before_an_older_scene_was_put_back_is_stale_and_one_of_the_scene_put_back_holds(
+def test_a_plan_is_stale_unless_its_own_scene_is_put_back(
     client: Client, endpoint: str, bus: Bus, tmp_path: Path
 ) -> None:
     file = tmp_path / KEYS.robot / "scene.json"
@@ -114,7 +114,7 @@ def held(client: Client, bus: Bus, *, by_trajectory: bool = False, speed: float 
 
 
 @pytest.mark.parametrize("by_trajectory", sampled(False, True))
-def test_a_goal_whose_scene_was_edited_while_it_was_held_does_not_go_on(
+def test_a_held_goal_whose_scene_was_edited_does_not_resume(
     client: Client, endpoint: str, bus: Bus, tmp_path: Path, by_trajectory: bool
 ) -> None:
     with ServiceProcess("planner", endpoint, tmp_path) as planner:
@@ -135,7 +135,7 @@ def test_a_goal_whose_scene_was_edited_while_it_was_held_does_not_go_on(
         assert client.ended(client.execute(plan_id=new.plan_id)).status == "succeeded"
 
 
-def test_a_goal_whose_scene_is_still_the_same_goes_on_and_without_a_planner_the_scene_told_last_counts(
+def test_a_held_goal_in_the_same_scene_resumes_without_a_planner(
     client: Client, endpoint: str, bus: Bus, tmp_path: Path
 ) -> None:
     with ServiceProcess("planner", endpoint, tmp_path) as planner:
@@ -154,7 +154,7 @@ def test_a_goal_whose_scene_is_still_the_same_goes_on_and_without_a_planner_the_
 # --- goals in motion ---
 
 
-def test_that_the_scene_is_edited_under_a_goal_in_motion_is_said_wherever_one_looks(
+def test_a_scene_edit_under_a_moving_goal_is_reported(
     executor: ServiceProcess, client: Client, endpoint: str, bus: Bus, tmp_path: Path
 ) -> None:
     with ServiceProcess("planner", endpoint, tmp_path) as planner:

@@ -91,7 +91,7 @@ def test_a_signal_ends_a_service_cleanly(start: Start, bus: Bus, number: signal.
     ),
     ids=["planner", "servo"],
 )
-def test_a_service_that_compiles_its_kernels_ends_at_the_next_stage(
+def test_a_service_compiling_kernels_ends_at_the_next_stage(
     endpoint: str, bus: Bus, tmp_path: Path, name: str, first: str, later: str
 ) -> None:
     with ServiceProcess(name, endpoint, tmp_path, environment=nothing_compiled(tmp_path)) as service:
@@ -133,7 +133,7 @@ def reread(bus: Bus) -> Health:
     return bus.call(KEYS.reread("minimal"), Nothing(), timeout=PATIENCE)
 
 
-def test_a_service_starts_anew_with_the_changed_file_of_its_robot(start: Start, bus: Bus, pendulum: Path) -> None:
+def test_a_service_restarts_with_the_changed_descriptor(start: Start, bus: Bus, pendulum: Path) -> None:
     process = start()
     before = eventually(lambda: health(bus), "the service is ready")
     assert reread(bus).instance == before.instance
@@ -231,7 +231,7 @@ def test_whoever_is_refused_never_shows_a_token(endpoint: str, pendulum: Path) -
         assert first.alive(KEYS.alive("minimal", "*")) == [("pendulum", "minimal", "bbbb")]
 
 
-def test_an_owner_stays_the_only_one_when_another_was_about_to_claim(endpoint: str, pendulum: Path) -> None:
+def test_of_two_owners_that_claim_one_robot_one_stays(endpoint: str, pendulum: Path) -> None:
     """Both have looked and seen nobody; then one claims, then the other, whose id would win a tie."""
     with Bus(endpoint) as first_bus:
         first = service(first_bus, pendulum, "bbbb")
@@ -290,9 +290,7 @@ def test_a_fault_of_the_service_keeps_its_trace(start: Start) -> None:
 # -- settings --
 
 
-def test_the_command_line_comes_from_the_environment_unless_given(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_options_come_from_the_environment_unless_given(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("ZARM_ROBOT", "ur5e")
     monkeypatch.setenv("ZARM_CONNECT", "tcp/127.0.0.1:1234")
     monkeypatch.setenv("ZARM_STATE", str(tmp_path))

@@ -120,7 +120,7 @@ def cell(shared: Cell) -> Cell:
     return shared
 
 
-def test_a_pose_is_reached_to_a_millimetre_beside_a_wall_and_one_behind_it_says_what_is_in_the_way(cell: Cell) -> None:
+def test_a_pose_beside_a_wall_is_reached_and_one_behind_is_named(cell: Cell) -> None:
     load(cell.bus, WALL)
     here = cell.robot.tip()
     with cell.robot.track() as tracking:
@@ -140,7 +140,7 @@ def test_a_pose_is_reached_to_a_millimetre_beside_a_wall_and_one_behind_it_says_
     cell.assert_sound(WALL)
 
 
-def test_jogging_slows_before_a_wall_and_slides_along_it_and_stops_when_nobody_says_more(cell: Cell) -> None:
+def test_jogging_slows_before_a_wall_slides_and_times_out(cell: Cell) -> None:
     load(cell.bus, WALL)
     with cell.robot.jog() as jogging:
         slowed = cell.repeat(jogging, "slowing", linear=(0.2, 0.1, 0.0))
@@ -152,7 +152,7 @@ def test_jogging_slows_before_a_wall_and_slides_along_it_and_stops_when_nobody_s
     cell.assert_sound(WALL)
 
 
-def test_what_is_put_in_the_way_while_the_robot_is_led_is_kept_away_from(cell: Cell) -> None:
+def test_a_new_obstacle_is_avoided_in_a_session(cell: Cell) -> None:
     x, y, z = (TIP + (0.0, 0.35, 0.0)).tolist()
     ball = Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.08)
     with cell.robot.jog() as jogging:
@@ -163,7 +163,7 @@ def test_what_is_put_in_the_way_while_the_robot_is_led_is_kept_away_from(cell: C
     cell.assert_sound(ball)
 
 
-def test_a_link_that_may_touch_an_object_is_held_by_neither_servo_nor_guard(cell: Cell) -> None:
+def test_a_link_allowed_to_touch_is_held_by_no_servo(cell: Cell) -> None:
     x, y, z = (TIP + 0.03 * MODEL.fk_tip(HOME)[:3, 2]).tolist()
     ball = Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.03)
     pair = SetPairCollision(op="pairs", names=(("link_6", "ball"),), enabled=False)
@@ -181,7 +181,7 @@ def test_a_link_that_may_touch_an_object_is_held_by_neither_servo_nor_guard(cell
 
 
 @pytest.mark.slow  # as in unit/servo/test_controller.py
-def test_a_robot_that_finds_itself_in_something_moves_only_outwards(cell: Cell) -> None:
+def test_a_robot_in_collision_moves_only_outwards(cell: Cell) -> None:
     x, y, z = (TIP + (0.085, 0.0, 0.0)).tolist()
     ball = Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.08)
     scene = ExactScene(MODEL, World([ball], 0.0))
@@ -222,7 +222,7 @@ def test_what_is_attached_is_kept_away_too(cell: Cell) -> None:
     assert ExactScene(holding, World([table], 0.0)).nearest(positions).distance >= MARGIN - PRECISION
 
 
-def test_a_second_client_is_refused_unless_it_takes_over_and_then_the_first_has_lost_the_robot(cell: Cell) -> None:
+def test_a_second_client_must_take_over_the_session(cell: Cell) -> None:
     with cell.robot.jog() as first:
         with pytest.raises(Busy, match=first.goal_id), cell.robot.jog():
             pass
@@ -232,7 +232,7 @@ def test_a_second_client_is_refused_unless_it_takes_over_and_then_the_first_has_
     cell.client.mode("idle")
 
 
-def test_a_session_beside_a_goal_is_refused_and_a_stop_ends_a_session(cell: Cell) -> None:
+def test_a_session_beside_a_goal_is_refused_and_stop_ends_it(cell: Cell) -> None:
     goal = cell.robot.start(cell.robot.plan((1.0, *HOME[1:])))
     eventually(lambda: cell.client.state().goal_id == goal, "the goal runs")
     with pytest.raises(Busy, match=goal), cell.robot.jog():
@@ -262,7 +262,7 @@ def test_a_session_beside_a_goal_is_refused_and_a_stop_ends_a_session(cell: Cell
         ('{"kind": "joint_speed", "velocity": [0.1]}', "1 values, and this robot has 6 joints (target.velocity)"),
     ),
 )
-def test_a_target_that_cannot_be_is_refused_by_field_and_moves_nothing(cell: Cell, target: str, problem: str) -> None:
+def test_an_invalid_target_is_refused_by_field(cell: Cell, target: str, problem: str) -> None:
     with cell.robot.jog() as jogging, open_client(cell.endpoint) as session:
         text = f'{{"goal_id": "{jogging.goal_id}", "sequence": 1, "stamp": 1.0, "target": {target}}}'
 
@@ -320,7 +320,7 @@ def test_asynchronous_chunks_leave_the_loop_to_others(cell: Cell) -> None:
     assert cell.client.stands()
 
 
-def test_what_is_in_the_way_of_chunks_is_named_in_the_answers_and_kept_away_from(cell: Cell) -> None:
+def test_what_blocks_a_chunk_is_named_and_avoided(cell: Cell) -> None:
     x, y, z = MODEL.fk_tip(swing(np.array([1.8]))[0])[:3, 3].tolist()
     ball = Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.05)
     load(cell.bus, ball)
@@ -361,7 +361,7 @@ def test_chunks_of_a_session_that_is_not_open_are_refused(cell: Cell) -> None:
         cell.bus.call(KEYS.servo_chunk, chunk, timeout=PATIENCE)
 
 
-def test_targets_out_of_order_and_a_clock_that_was_set_back_are_refused_by_field(cell: Cell) -> None:
+def test_out_of_order_targets_and_set_back_clocks_are_refused(cell: Cell) -> None:
     with cell.robot.jog() as jogging, open_client(cell.endpoint) as session:
 
         def refused(sequence: int, stamp: float) -> str | None:
@@ -378,7 +378,7 @@ def test_targets_out_of_order_and_a_clock_that_was_set_back_are_refused_by_field
     assert cell.client.stands()
 
 
-def test_a_number_and_a_stamp_far_ahead_are_refused_and_the_targets_after_them_lead_the_robot(cell: Cell) -> None:
+def test_a_number_far_ahead_is_refused_and_later_targets_count(cell: Cell) -> None:
     with cell.robot.jog() as jogging, open_client(cell.endpoint) as session:
 
         def say(sequence: int, stamp: float) -> None:
@@ -406,7 +406,7 @@ def test_a_number_and_a_stamp_far_ahead_are_refused_and_the_targets_after_them_l
 
 
 @pytest.mark.slow  # as in unit/servo/test_controller.py and test_inbox.py
-def test_of_a_thousand_targets_a_second_the_newest_counts_and_the_robot_never_jumps(cell: Cell) -> None:
+def test_of_a_thousand_targets_a_second_the_newest_counts(cell: Cell) -> None:
     with cell.robot.jog() as jogging:
         for sent in range(1000):
             jogging.joint_speed((0.2 if sent % 2 else -0.2, 0.0, 0.0, 0.0, 0.0, 0.1))
@@ -426,7 +426,7 @@ def test_a_pause_ends_a_session_and_leaves_its_goal_paused(cell: Cell) -> None:
     assert cell.client.ended(session.goal_id).status == "cancelled"
 
 
-def test_an_executor_that_was_held_up_is_led_on_from_where_the_robot_is(cell: Cell) -> None:
+def test_after_a_delay_the_session_resumes_from_the_robot(cell: Cell) -> None:
     chunks: list[bytes] = []
     cell.bus.listen(KEYS.stream, lambda _, payload: chunks.append(payload))
     here, executor = cell.robot.tip(), cell.services["executor"].process
@@ -469,7 +469,7 @@ def test_a_driver_is_led_as_well(cell: Cell, driven: Callable[[str], None], stra
     np.testing.assert_allclose(cell.client.position(), there, atol=0.005)
 
 
-def test_a_strategy_that_hands_motions_over_as_a_whole_leads_nobody(cell: Cell, driven: Callable[[str], None]) -> None:
+def test_joint_trajectory_refuses_sessions(cell: Cell, driven: Callable[[str], None]) -> None:
     driven("joint_trajectory")
     with pytest.raises(zarm.Unavailable, match="switch to another strategy"), cell.robot.jog():
         pass
@@ -510,7 +510,7 @@ def drained(terminal: int, process: subprocess.Popen[bytes]) -> int:
     return process.returncode
 
 
-def test_a_command_leads_the_robot_to_joint_positions_without_a_plan(cell: Cell) -> None:
+def test_a_command_moves_to_joint_positions_without_a_plan(cell: Cell) -> None:
     goal = (0.1, 0.05, *HOME[2:])
     led = run_zarm("track", "--joints", ",".join(map(str, goal)), "--connect", cell.endpoint)
     assert led.returncode == 0, led.stderr
@@ -519,7 +519,7 @@ def test_a_command_leads_the_robot_to_joint_positions_without_a_plan(cell: Cell)
     cell.assert_sound()
 
 
-def test_a_robot_in_collision_is_led_out_by_the_command_that_the_refusal_names(cell: Cell) -> None:
+def test_the_refusal_names_the_command_that_leaves_collision(cell: Cell) -> None:
     x, y, z = (TIP + (0.085, 0.0, 0.0)).tolist()
     load(cell.bus, Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.08))
     goal = ",".join(map(str, (1.0, *HOME[1:])))

@@ -21,7 +21,7 @@ KEYS = Keys("doosan_m1013")
 TIP = matrix((0.05, 0.0, 0.25), (0.0, 0.7071067811865476, 0.0, 0.7071067811865476))
 
 
-def test_mounted_tool_is_moved_tracked_and_never_changed_in_motion(tmp_path: Path) -> None:
+def test_a_mounted_tool_is_tracked_and_fixed_during_motion(tmp_path: Path) -> None:
     path = with_tools(tmp_path)
     model = RobotModel.of(tooled_robot(tmp_path))
 

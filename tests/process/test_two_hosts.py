@@ -82,7 +82,7 @@ def test_plan_and_execute_from_the_workstation_and_both_are_told(place: Lab) -> 
         np.testing.assert_allclose(client.position(), AWAY, atol=0.01)
 
 
-def test_an_accepted_goal_goes_on_to_its_end_without_the_wire_and_is_told_when_it_is_back(place: Lab) -> None:
+def test_an_accepted_goal_survives_a_network_cut(place: Lab) -> None:
     with place.driver(place.robot):
         goal_id = slow(place)
         place.wire.become(CUT)
@@ -95,7 +95,7 @@ def test_an_accepted_goal_goes_on_to_its_end_without_the_wire_and_is_told_when_i
         place.goes_on()
 
 
-def test_zarm_execute_says_how_a_motion_ended_that_it_did_not_see_end(place: Lab) -> None:
+def test_zarm_execute_reports_a_motion_it_did_not_see_end(place: Lab) -> None:
     planned = place.plan(*(HOME if np.max(np.abs(place.here.position() - HOME)) > 0.1 else AWAY))
     with place.workstation.runs(ZARM, "execute", "--plan-id", planned.plan_id) as command:
         goal_id = eventually(lambda: place.there.state().goal_id, "the motion begins")
@@ -106,7 +106,7 @@ def test_zarm_execute_says_how_a_motion_ended_that_it_did_not_see_end(place: Lab
         assert command.wait(PATIENCE) == 0
 
 
-def test_a_robot_whose_driver_is_beyond_the_wire_rests_and_is_in_fault(place: Lab) -> None:
+def test_a_robot_cut_off_from_its_driver_rests_in_fault(place: Lab) -> None:
     reported: list[JointState] = []
     place.workstation.bus.subscribe(KEYS.driver_joint_states, lambda _, state: reported.append(state))
     with place.driver(place.workstation):
@@ -142,7 +142,7 @@ def test_a_stream_from_beyond_the_wire_ends_at_its_deadline(place: Lab) -> None:
     place.goes_on()
 
 
-def test_without_the_wire_nothing_is_planned_from_old_joints_and_nothing_executed(place: Lab) -> None:
+def test_without_the_network_nothing_is_planned_or_executed(place: Lab) -> None:
     found = place.plan(*AWAY)
     place.wire.become(CUT)
 
@@ -163,7 +163,7 @@ def test_without_the_wire_nothing_is_planned_from_old_joints_and_nothing_execute
     assert {goal.status for goal in place.there.goals if goal.goal_id == given_up and goal.done} <= {"cancelled"}
 
 
-def test_a_wire_that_is_late_and_lossy_is_good_enough_to_plan_and_execute(place: Lab) -> None:
+def test_latency_and_loss_do_not_prevent_planning_and_execution(place: Lab) -> None:
     place.wire.become(Quality(delay=0.02, loss=0.05))
     for _ in range(2):
         place.goes_on()

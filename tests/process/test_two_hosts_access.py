@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(bool(obstacle()), reason=obstacle() or "")
 
 
 @pytest.mark.slow
-def test_with_certificates_the_two_are_one_bus_and_are_again_after_a_cut(
+def test_with_certificates_two_hosts_are_one_bus_after_a_cut_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = zarm("certs", str(tmp_path / "certs"), "--host", "10.77.0.2")

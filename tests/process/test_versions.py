@@ -76,7 +76,7 @@ def test_services_that_fit_together_are_shown_with_what_they_are(
             assert shown["services"][service][field] in row
 
 
-def test_another_version_that_speaks_the_same_contract_is_said_and_works(
+def test_another_version_with_the_same_contract_works(
     planner: ServiceProcess, endpoint: str, bus: Bus, tmp_path: Path
 ) -> None:
     with executor_of(endpoint, tmp_path, CONTRACT) as executor:
@@ -90,7 +90,7 @@ def test_another_version_that_speaks_the_same_contract_is_said_and_works(
         assert bus.call(KEYS.execute, ExecuteRequest(), timeout=PATIENCE).goal_id
 
 
-def test_another_contract_is_refused_by_name_on_both_sides_and_status_says_so_loudly(
+def test_another_contract_is_refused_on_both_sides(
     planner: ServiceProcess, endpoint: str, bus: Bus, tmp_path: Path
 ) -> None:
     with executor_of(endpoint, tmp_path, "v5") as executor:
@@ -147,7 +147,7 @@ def test_the_health_of_a_later_version_is_read_whatever_it_adds() -> None:
     assert Health.model_validate_json(json.dumps(reported)).version == "9.0.0"
 
 
-def test_different_files_of_a_robot_are_said_loudly_and_no_plan_is_executed(
+def test_different_files_of_one_robot_prevent_execution(
     planner: ServiceProcess, endpoint: str, bus: Bus, tmp_path: Path
 ) -> None:
     robot = str(descriptor_at(250, tmp_path / "other"))

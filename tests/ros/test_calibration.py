@@ -13,5 +13,5 @@ BUSY = 4
 
 @pytest.mark.slow
 @pytest.mark.parametrize("strategy", ["joint_speed", "joint_trajectory"])
-def test_every_pose_of_a_calibration_is_reached_on_a_busy_machine(tmp_path: Path, strategy: str) -> None:
+def test_every_calibration_pose_is_reached_on_a_busy_machine(tmp_path: Path, strategy: str) -> None:
     assert not calibrate(tmp_path, strategy, busy=BUSY)

@@ -220,7 +220,7 @@ def test_a_camera_that_is_removed_is_listened_to_no_more(lab: Lab, node: Node) -
     eventually(lambda: publisher.get_subscription_count() == 0, "there is no camera")
 
 
-def test_colour_images_of_a_ros_topic_come_to_those_who_take_them(lab: Lab, node: Node) -> None:
+def test_colour_images_of_a_ros_topic_reach_subscribers(lab: Lab, node: Node) -> None:
     publisher = node.create_publisher(Image, "/camera/color/image_rect", qos_profile_sensor_data)
     rows = np.zeros((48, 64 * 3 + 5), np.uint8)
     rows[:, 0 : 64 * 3 : 3] = 200  # blue

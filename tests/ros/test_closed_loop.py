@@ -135,7 +135,7 @@ def on_target(goal: Sent) -> Any:
     )
 
 
-def test_mpc_keeps_following_after_it_is_on_target_until_it_is_cancelled(arm: Arm) -> None:
+def test_mpc_follows_beyond_on_target_until_cancelled(arm: Arm) -> None:
     arm.choose(MPC)
     there = arm.beside(y=0.08)
     goal = arm.execute.send(target_pose=there)
@@ -154,7 +154,7 @@ def test_mpc_keeps_following_after_it_is_on_target_until_it_is_cancelled(arm: Ar
     assert {one.state for one in goal.feedback} == {"TRACKING", "ON_TARGET"}
 
 
-def test_retarget_without_a_target_holds_the_tip_and_follows_a_stream_of_poses(arm: Arm) -> None:
+def test_retarget_without_a_target_holds_and_follows_poses(arm: Arm) -> None:
     arm.choose(RETARGET)
     start = arm.tip()
     markers, paths = arm.ros.heard(Marker, "/mpc_goal_marker"), arm.ros.heard(Path, "/mpc_predicted_path")
@@ -198,7 +198,7 @@ def test_mpc_move_gives_up_after_its_steps_and_says_what_is_left(arm: Arm) -> No
     assert arm.robot.rests()
 
 
-def test_goals_that_a_closed_loop_cannot_follow_are_refused_with_the_field(arm: Arm) -> None:
+def test_goals_unfit_for_closed_loop_are_refused_by_field(arm: Arm) -> None:
     status, result = arm.move.send().ended()
     assert (status, "(target_pose)" in result.message) == (ABORTED, True)
     arm.choose(MPC)
@@ -211,7 +211,7 @@ def test_goals_that_a_closed_loop_cannot_follow_are_refused_with_the_field(arm: 
 
 
 @pytest.mark.slow  # as of any goal, in one_stack
-def test_a_second_goal_takes_the_place_of_one_in_closed_loop_where_that_is_configured(arm: Arm) -> None:
+def test_with_preempt_a_second_goal_replaces_a_closed_loop_one(arm: Arm) -> None:
     arm.choose(MPC)
     first = arm.execute.send(target_pose=arm.tip())
     assert first.accepted
@@ -228,7 +228,7 @@ def test_a_second_goal_takes_the_place_of_one_in_closed_loop_where_that_is_confi
     assert "another goal" in result.message
 
 
-def test_a_pose_on_mpc_goal_moves_nothing_where_no_closed_loop_runs_and_that_is_said(arm: Arm) -> None:
+def test_a_pose_on_mpc_goal_without_a_closed_loop_is_reported(arm: Arm) -> None:
     said = arm.ros.heard(Log, "/rosout", 100)
     there = arm.beside(y=0.05)
     eventually(
@@ -237,7 +237,7 @@ def test_a_pose_on_mpc_goal_moves_nothing_where_no_closed_loop_runs_and_that_is_
     assert arm.robot.rests()
 
 
-def test_joint_speed_carries_a_closed_loop_and_joint_trajectory_refuses_it_with_the_reason(arm: Arm) -> None:
+def test_joint_speed_carries_a_closed_loop_joint_trajectory_not(arm: Arm) -> None:
     arm.strategy("joint_speed")
     there = arm.beside(z=0.05)
     status, result = arm.move.send(target_pose=there).ended()
@@ -251,7 +251,7 @@ def test_joint_speed_carries_a_closed_loop_and_joint_trajectory_refuses_it_with_
 
 
 @pytest.mark.parametrize("frame", sampled("link_6", "base_link"))
-def test_a_twist_moves_the_tip_along_the_axes_of_its_frame_and_silence_brakes(arm: Arm, frame: str) -> None:
+def test_a_twist_moves_the_tip_in_its_frame_and_times_out(arm: Arm, frame: str) -> None:
     statuses = arm.ros.heard(Int8, f"{NODE}/servo_status")
     start = arm.tip()
     command = TwistStamped()
@@ -310,7 +310,7 @@ def test_commands_that_are_none_are_refused_in_the_status(arm: Arm) -> None:
     assert arm.robot.rests()
 
 
-def test_a_robot_that_was_stopped_stays_at_rest_until_the_commands_have_paused(arm: Arm) -> None:
+def test_after_a_stop_commands_must_pause_before_they_count(arm: Arm) -> None:
     texts, before = arm.texts, len(arm.texts)
     start = arm.tip()
     command = TwistStamped()

@@ -80,7 +80,7 @@ def arm(node: Node) -> Iterator[StandIn]:
         yield StandIn(node)
 
 
-def test_a_trajectory_begins_at_its_stamp_and_the_old_one_goes_on_until_then(arm: StandIn) -> None:
+def test_a_trajectory_waits_for_its_stamp_while_the_old_one_runs(arm: StandIn) -> None:
     first = arm.send(to((2.0, 1.0)))
     eventually(lambda: arm.states and arm.motion()[-1][1] > 0.1, "the arm moves")
     second = to((0.5, 0.0))

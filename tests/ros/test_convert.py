@@ -299,7 +299,7 @@ steps = st.lists(st.floats(0.001, 0.5), min_size=1, max_size=8)
 
 
 @promised(steps, st.integers(0, 2**32 - 1), st.sampled_from([0.01, 0.02, 0.1]))
-def test_a_trajectory_is_sampled_along_its_quintics_at_equal_steps(step: list[float], seed: int, dt: float) -> None:
+def test_a_trajectory_is_sampled_along_its_quintics(step: list[float], seed: int, dt: float) -> None:
     rng, count = np.random.default_rng(seed), len(step) + 1
     position, velocity, acceleration = rng.normal(size=(3, count, len(JOINTS)))
     velocity[-1] = acceleration[-1] = 0.0

@@ -67,7 +67,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
 
 
 @pytest.mark.slow
-def test_tutorial_4_with_the_driver_plan_stream_cancel_switch_and_back_to_the_emulator(lab: Lab) -> None:
+def test_tutorial_4_runs_on_the_driver_to_the_end(lab: Lab) -> None:
     lab.switch("joint_speed")
     lab.plan(FAR)
     report = lab.execute().feedback
@@ -91,7 +91,7 @@ def test_tutorial_4_with_the_driver_plan_stream_cancel_switch_and_back_to_the_em
     np.testing.assert_allclose(lab.arm(), stood, atol=1e-6)
 
 
-def test_the_first_version_of_the_path_sends_the_whole_trajectory_and_reads_the_drivers_progress(lab: Lab) -> None:
+def test_version_1_sends_whole_trajectories_and_reads_progress(lab: Lab) -> None:
     lab.switch("joint_trajectory")
     start = lab.arm()
     goal = start + (0.0, 0.0, 0.0, 0.0, 0.0, 0.8)

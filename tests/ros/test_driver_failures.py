@@ -131,9 +131,7 @@ def lab(running: Stack, tmp_path: Path) -> Iterator[Lab]:
 
 @pytest.mark.slow  # the executor's part is in fault/test_driver_faults.py
 @pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_trajectory"))
-def test_a_goal_whose_driver_is_killed_is_aborted_and_a_new_driver_moves_the_robot_after_a_reset(
-    lab: Lab, strategy: str
-) -> None:
+def test_a_killed_driver_aborts_and_a_new_one_moves_after_reset(lab: Lab, strategy: str) -> None:
     driver = lab.new_driver(HOME)
     lab.switch(strategy)
     goal = lab.under_way()
@@ -145,7 +143,7 @@ def test_a_goal_whose_driver_is_killed_is_aborted_and_a_new_driver_moves_the_rob
 
 
 @pytest.mark.slow
-def test_a_robot_whose_driver_tells_only_what_cannot_be_read_is_stopped(lab: Lab) -> None:
+def test_a_driver_with_unreadable_joint_states_is_stopped(lab: Lab) -> None:
     lab.new_driver(HOME)
     lab.switch("joint_speed")
     report = lab.ros.node.create_publisher(JointState, M1013.strategy_params.joint_states_topic, 10)

@@ -88,7 +88,7 @@ def faulty(ros: RosClient, fault: str) -> None:
     publisher.publish(String(data=fault))
 
 
-def test_what_a_controller_refuses_or_gives_up_ends_the_goal_with_its_reason(
+def test_a_controller_s_refusal_ends_the_goal_with_its_reason(
     apart: tuple[str, Bus], tmp_path: Path, ros: RosClient
 ) -> None:
     home = np.array(UR5E.descriptor.home)
@@ -112,9 +112,7 @@ def test_what_a_controller_refuses_or_gives_up_ends_the_goal_with_its_reason(
         assert client.ended(last).status == "succeeded"
 
 
-def test_a_controller_without_an_action_is_moved_and_stopped_through_its_topic(
-    apart: tuple[str, Bus], tmp_path: Path
-) -> None:
+def test_a_controller_without_an_action_is_used_by_topic(apart: tuple[str, Bus], tmp_path: Path) -> None:
     home = np.array(UR5E.descriptor.home)
     there = home + (0.6, -0.3, 0.2, 0.0, 0.0, 0.4)
     with ur5e(*apart, tmp_path, "--topic-alone") as client:
@@ -128,7 +126,7 @@ def test_a_controller_without_an_action_is_moved_and_stopped_through_its_topic(
         eventually(client.stands, "the robot rests")
 
 
-def test_a_motion_waits_while_the_robot_is_paused_by_its_own_controls(
+def test_a_motion_waits_while_the_robot_s_own_controls_pause_it(
     apart: tuple[str, Bus], tmp_path: Path, ros: RosClient
 ) -> None:
     home = np.array(UR5E.descriptor.home)
@@ -238,9 +236,7 @@ HUMBLE = ["joint_1", "joint_2", "joint_4", "joint_5", "joint_3", "joint_6"]
 VALUES = [1.0, 2.0, 4.0, 5.0, 3.0, 6.0]
 
 
-def test_joint_states_reach_the_bus_by_name_with_the_drivers_stamp(
-    bus: Bus, bridge: ServiceProcess, ros: RosClient
-) -> None:
+def test_joint_states_arrive_by_name_with_the_driver_s_stamp(bus: Bus, bridge: ServiceProcess, ros: RosClient) -> None:
     latest = bus.latest(Keys("doosan_m1013").driver_joint_states)
     publisher = ros.node.create_publisher(JointState, "/dsr01/joint_states", 10)
     eventually(publisher.get_subscription_count, "the bridge listens")
@@ -262,9 +258,7 @@ def test_joint_states_reach_the_bus_by_name_with_the_drivers_stamp(
         assert [state.velocity[state.joint_names.index(f"joint_{n}")] for n in range(1, 7)] == expected
 
 
-def test_joint_states_that_cannot_be_read_go_no_further_and_are_complained_of_once(
-    bus: Bus, bridge: ServiceProcess, ros: RosClient
-) -> None:
+def test_unreadable_joint_states_are_dropped_and_logged_once(bus: Bus, bridge: ServiceProcess, ros: RosClient) -> None:
     heard: list[m.JointState] = []
     bus.subscribe(Keys("doosan_m1013").driver_joint_states, lambda _, state: heard.append(state))
     publisher = ros.node.create_publisher(JointState, "/dsr01/joint_states", 10)
@@ -326,9 +320,7 @@ def test_a_driver_that_comes_late_and_again_is_heard(bus: Bus, bridge: ServicePr
         destroyed(ros.node, ros.node.destroy_publisher, publisher)
 
 
-def test_the_log_says_when_a_driver_comes_that_commands_reach_and_when_it_goes(
-    bridge: ServiceProcess, ros: RosClient
-) -> None:
+def test_the_log_says_when_a_driver_connects_and_disconnects(bridge: ServiceProcess, ros: RosClient) -> None:
     def said(change: str) -> int:
         return bridge.output().count(f"a driver has {change} topic=/leeloo/execute_trajectory")
 
@@ -342,7 +334,7 @@ def test_the_log_says_when_a_driver_comes_that_commands_reach_and_when_it_goes(
 
 
 @pytest.mark.slow
-def test_a_bridge_that_ends_while_a_driver_tells_its_joints_ends_in_order(
+def test_a_bridge_shuts_down_cleanly_while_a_driver_publishes(
     apart: tuple[str, Bus], tmp_path: Path, ros: RosClient
 ) -> None:
     endpoint, bus = apart
@@ -363,7 +355,7 @@ def test_a_bridge_that_ends_while_a_driver_tells_its_joints_ends_in_order(
     destroyed(ros.node, ros.node.destroy_publisher, publisher)
 
 
-def test_two_robots_in_one_bridge_have_namespaces_and_their_own_drivers(
+def test_two_robots_in_one_bridge_have_their_own_drivers(
     apart: tuple[str, Bus], tmp_path: Path, ros: RosClient
 ) -> None:
     endpoint, bus = apart

@@ -109,7 +109,7 @@ def zarm(planned: Zarm, node: Node) -> Iterator[Zarm]:
 
 
 @pytest.mark.slow  # as without an executor
-def test_without_a_planner_a_target_is_refused_and_says_who_is_missing(tmp_path: Path) -> None:
+def test_without_a_planner_a_target_is_refused_by_name(tmp_path: Path) -> None:
     with router() as endpoint, Bus(endpoint) as bus, running_node("client") as node:
         zarm = Zarm(bus, node, tmp_path, endpoint)
         with closing(zarm):
@@ -126,7 +126,7 @@ def test_without_a_planner_a_target_is_refused_and_says_who_is_missing(tmp_path:
             assert "the planner of arm has not answered; " in result.message
 
 
-def test_without_an_executor_a_goal_is_refused_and_says_who_is_missing(zarm: Zarm) -> None:
+def test_without_an_executor_a_goal_is_refused_by_name(zarm: Zarm) -> None:
     zarm.start("ros_bridge")
     status, result = Actions(zarm.node).send().ended()
     assert (status, result.success) == (ABORTED, False)
@@ -143,7 +143,7 @@ def test_a_goal_whose_executor_is_killed_is_aborted(zarm: Zarm) -> None:
 
 
 @pytest.mark.slow
-def test_a_goal_whose_executor_is_started_again_is_aborted_with_its_word(zarm: Zarm) -> None:
+def test_a_restarted_executor_aborts_its_goal(zarm: Zarm) -> None:
     executor, _ = zarm.start("executor", "ros_bridge")
     goal = zarm.goal_under_way()
     executor_goal = zarm.executor_goal()
@@ -159,7 +159,7 @@ def test_a_goal_whose_executor_is_started_again_is_aborted_with_its_word(zarm: Z
 
 
 @pytest.mark.slow
-def test_a_goal_whose_executor_stands_still_is_aborted_and_what_it_asked_for_is_withdrawn(zarm: Zarm) -> None:
+def test_a_frozen_executor_s_goal_is_aborted_and_withdrawn(zarm: Zarm) -> None:
     executor, _ = zarm.start("executor", "ros_bridge")
     zarm.robot.plan()
     before = zarm.robot.joints()
@@ -173,7 +173,7 @@ def test_a_goal_whose_executor_stands_still_is_aborted_and_what_it_asked_for_is_
 
 
 @pytest.mark.slow
-def test_a_bridge_that_is_told_to_end_aborts_its_goal_and_the_robot_goes_on(zarm: Zarm) -> None:
+def test_a_bridge_on_sigterm_aborts_its_goal_alone(zarm: Zarm) -> None:
     _, bridge = zarm.start("executor", "ros_bridge")
     goal = zarm.goal_under_way()
     executor_goal = zarm.executor_goal()
@@ -187,7 +187,7 @@ def test_a_bridge_that_is_told_to_end_aborts_its_goal_and_the_robot_goes_on(zarm
 
 
 @pytest.mark.slow
-def test_the_goal_of_a_bridge_that_is_killed_is_taken_up_by_the_next_one(zarm: Zarm) -> None:
+def test_a_killed_bridge_s_goal_is_taken_up_by_the_next(zarm: Zarm) -> None:
     _, bridge = zarm.start("executor", "ros_bridge")
     goal = zarm.goal_under_way(speed=0.03)
     executor_goal = zarm.executor_goal()
@@ -204,7 +204,7 @@ def test_the_goal_of_a_bridge_that_is_killed_is_taken_up_by_the_next_one(zarm: Z
 
 
 @pytest.mark.slow
-def test_a_goal_whose_client_is_killed_goes_on_and_anybody_can_cancel_it(zarm: Zarm) -> None:
+def test_a_killed_client_s_goal_goes_on_and_can_be_cancelled(zarm: Zarm) -> None:
     zarm.start("executor", "ros_bridge")
     zarm.robot.plan(speed=0.15)
     with subprocess.Popen([sys.executable, "-c", CLIENT], stdout=subprocess.PIPE, text=True) as client:
@@ -233,7 +233,7 @@ def test_a_second_bridge_for_a_robot_refuses_to_start(zarm: Zarm) -> None:
 
 
 @pytest.mark.slow  # near to the goal without an executor
-def test_without_an_executor_version_1_fails_and_robot_type_is_as_before(zarm: Zarm) -> None:
+def test_without_an_executor_version_1_keeps_robot_type(zarm: Zarm) -> None:
     zarm.start("ros_bridge")
     parameters = AsyncParameterClient(zarm.node, "/unified_planner")
     assert parameters.wait_for_services(PATIENCE)
@@ -247,7 +247,7 @@ def test_without_an_executor_version_1_fails_and_robot_type_is_as_before(zarm: Z
 
 
 @pytest.mark.slow
-def test_the_parameters_follow_an_executor_that_starts_with_another_strategy(zarm: Zarm) -> None:
+def test_parameters_follow_an_executor_with_another_strategy(zarm: Zarm) -> None:
     _, executor = zarm.start("ros_bridge", "executor")
     parameters = AsyncParameterClient(zarm.node, "/unified_planner")
     assert parameters.wait_for_services(PATIENCE)
@@ -264,7 +264,7 @@ def test_the_parameters_follow_an_executor_that_starts_with_another_strategy(zar
 
 
 @pytest.mark.slow
-def test_a_router_that_is_started_again_in_motion_does_not_end_the_goal(tmp_path: Path) -> None:
+def test_a_router_restart_in_motion_does_not_end_the_goal(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     with ExitStack() as first, ExitStack() as stack:
         first.enter_context(open_router(endpoint))

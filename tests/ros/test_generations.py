@@ -77,7 +77,7 @@ def go(arm: Typed, **goal: Any) -> Any:
     return arm.send("execute_trajectory", "SendTrajectory", **goal)
 
 
-def test_the_bridge_finds_the_generation_and_tells_the_log_and_status(arm: Typed) -> None:
+def test_the_bridge_logs_the_generation_it_finds(arm: Typed) -> None:
     said = f"curobo_msgs of generation {arm.generation.upper()}"
     assert arm.health.note == said
     assert said.replace(" ", "_") in arm.bridge.output()
@@ -135,7 +135,7 @@ def test_a_plan_has_the_points_and_their_distance_in_time(arm: Typed) -> None:
         assert chosen == [[0], [], [-1]]
 
 
-def test_a_goal_is_executed_and_its_feedback_is_as_the_generation_has_it(arm: Typed) -> None:
+def test_feedback_has_the_form_of_the_generation(arm: Typed) -> None:
     there = FAR if arm.generation == "b" else NEAR
     ended = go(arm, **to(arm, there))
     assert ended["status"] == GoalStatus.STATUS_SUCCEEDED, ended["result"]["message"]

@@ -23,9 +23,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
 
 
 @pytest.mark.parametrize("names", [("execute_trajectory",) * 2, ("send_trajectory", "execute_trajectory")])
-def test_the_one_that_was_sent_last_moves_the_robot_where_the_thread_of_the_first_is_slower(
-    running: Stack, names: tuple[str, str]
-) -> None:
+def test_the_goal_sent_last_wins_over_a_slow_thread(running: Stack, names: tuple[str, str]) -> None:
     Robot(running.bus, KEYS).plan()
     actions = {name: Actions(running.ros.node, name) for name in names}
     first = actions[names[0]].send()

@@ -77,7 +77,7 @@ def test_a_position_out_of_range_is_refused_and_nothing_moves(arm: Stack, node: 
     assert response.result.position == pytest.approx(0.04, abs=5e-4)
 
 
-def test_the_action_of_the_newer_controllers_moves_the_fingers_too(arm: Stack, node: Node) -> None:
+def test_the_newer_gripper_action_moves_the_fingers_too(arm: Stack, node: Node) -> None:
     def parallel(**command: Any) -> tuple[Any, list[Any]]:
         goal = ParallelGripperCommand.Goal(command=JointState(**command))
         return sent_goal(node, ParallelGripperCommand, f"parallel_{ACTION}", goal)

@@ -207,7 +207,7 @@ def test_a_client_gets_what_the_server_of_a_service_answers(node: Node) -> None:
     assert requests == [asked]
 
 
-def test_an_action_takes_its_goal_and_gives_feedback_and_a_result(node: Node) -> None:
+def test_an_action_gives_feedback_and_a_result(node: Node) -> None:
     asked = action.SendTrajectory.Goal(target_pose=Pose(position=Point(x=0.5)))
     halfway = action.SendTrajectory.Feedback(
         state="executing", step_progression=0.5, joint_command=JointState(name=["joint_1"], position=[0.1])

@@ -114,7 +114,7 @@ def arm(shared: Arm) -> Arm:
     return shared
 
 
-def test_it_plays_velocities_by_index_and_tells_every_point_and_nothing_at_rest(arm: Arm) -> None:
+def test_it_plays_velocities_by_index_and_reports_progress(arm: Arm) -> None:
     on_the_bus: list[messages.JointState] = []
     arm.bus.subscribe(arm.keys.driver_joint_states, lambda _, state: on_the_bus.append(state))
     began = arm.at_rest()
@@ -127,7 +127,7 @@ def test_it_plays_velocities_by_index_and_tells_every_point_and_nothing_at_rest(
     assert on_the_bus == []
 
 
-def test_joints_are_told_every_10_ms_in_the_order_of_humble_without_effort(arm: Arm) -> None:
+def test_joints_come_every_10_ms_as_from_humble(arm: Arm) -> None:
     arm.command(trajectory(velocities=[SPEED] * 100))
     eventually(lambda: 1.0 in arm.progress, "the last point is told")
     state = arm.states[-1]
@@ -138,13 +138,13 @@ def test_joints_are_told_every_10_ms_in_the_order_of_humble_without_effort(arm: 
     assert np.median(np.diff(at_speed)) == pytest.approx(0.01 * SPEED[0])
 
 
-def test_its_joint_states_are_reliable_and_kept_for_those_who_come_late(arm: Arm, node: Node) -> None:
+def test_its_joint_states_are_reliable_and_transient_local(arm: Arm, node: Node) -> None:
     (publisher,) = eventually(lambda: node.get_publishers_info_by_topic("/dsr01/joint_states"), "the driver is found")
     assert publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE
     assert publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
 
-def test_an_empty_trajectory_stops_it_and_is_not_told_as_progress(arm: Arm) -> None:
+def test_an_empty_trajectory_stops_it_without_progress(arm: Arm) -> None:
     arm.command(trajectory(velocities=[SPEED] * 5000))
     arm.moving()
     arm.command(trajectory())
@@ -180,14 +180,14 @@ def aside(began: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.slow  # as in unit/leeloo_sim/test_player.py
-def test_it_plays_the_positions_of_a_trajectory_that_has_no_velocities(arm: Arm) -> None:
+def test_it_plays_positions_of_a_trajectory_without_velocities(arm: Arm) -> None:
     there = aside(arm.at_rest())
     arm.command(trajectory(positions=there.tolist()))
     eventually(lambda: np.allclose(arm.position(arm.states[-1]), there[-1], atol=1e-3), "the arm arrives")
 
 
 @pytest.mark.slow
-def test_it_plays_positions_for_a_robot_whose_driver_does_and_tells_no_progress(node: Node, tmp_path: Path) -> None:
+def test_with_such_a_descriptor_it_plays_positions_only(node: Node, tmp_path: Path) -> None:
     with driven(node, tmp_path, "--plays", "position", robot="ur5e") as arm:
         there = aside(arm.at_rest())
         arm.command(trajectory(positions=there.tolist()))
@@ -195,7 +195,7 @@ def test_it_plays_positions_for_a_robot_whose_driver_does_and_tells_no_progress(
         np.testing.assert_allclose(arm.at_rest(), there[-1], atol=1e-3)
 
 
-def test_silenced_it_moves_on_and_tells_nothing_until_it_is_in_order_again(arm: Arm) -> None:
+def test_silenced_it_moves_on_and_publishes_nothing(arm: Arm) -> None:
     arm.command(trajectory(velocities=[SPEED] * 5000))
     arm.moving()
     arm.set_fault(DriverFault(silent=True))

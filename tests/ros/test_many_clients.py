@@ -42,7 +42,7 @@ def preempting(running: Stack) -> Iterator[None]:
     running.ros.configure(preempt=False)
 
 
-def test_fifty_clients_at_once_are_all_answered_and_leave_nothing_behind(running: Stack) -> None:
+def test_fifty_clients_are_answered_and_leave_nothing_behind(running: Stack) -> None:
     bridge = running.processes["ros_bridge"]
 
     def crowd(times: int) -> None:
@@ -63,9 +63,7 @@ def test_fifty_clients_at_once_are_all_answered_and_leave_nothing_behind(running
     assert after.memory <= before.memory + GROWTH
 
 
-def test_of_a_flood_of_goals_one_runs_the_others_are_told_why_not_and_the_next_one_works(
-    running: Stack, robot: Robot
-) -> None:
+def test_of_a_flood_of_goals_one_runs_and_the_next_works(running: Stack, robot: Robot) -> None:
     robot.plan(speed=0.3)
     actions = Actions(running.ros.node)
     goals = [actions.send() for _ in range(FLOOD)]
@@ -78,9 +76,7 @@ def test_of_a_flood_of_goals_one_runs_the_others_are_told_why_not_and_the_next_o
     assert actions.send().ended()[0] == SUCCEEDED
 
 
-def test_of_a_flood_of_goals_that_preempt_the_last_one_runs_and_services_are_answered_meanwhile(
-    running: Stack, robot: Robot, preempting: None
-) -> None:
+def test_of_a_flood_of_preempting_goals_the_last_one_runs(running: Stack, robot: Robot, preempting: None) -> None:
     robot.plan(speed=0.3)
     actions = Actions(running.ros.node)
     goals = [actions.send() for _ in range(FLOOD)]

@@ -116,7 +116,7 @@ def measured(arm: Stack) -> tuple[float, ...]:
 
 
 @pytest.mark.parametrize("place", [(0.5, 0.2, 0.3), pytest.param((0.5, 0.0, 0.4), marks=pytest.mark.slow)])
-def test_the_tutorials_calls_are_planned_from_where_the_robot_is_to_the_pose(arm: Stack, place: Any) -> None:
+def test_the_tutorial_s_calls_are_planned_from_the_robot(arm: Stack, place: Any) -> None:
     pose = Pose(position=Point(x=place[0], y=place[1], z=place[2]), orientation=Quaternion(w=1.0))
     response = generate(arm, target_pose=pose)
     position = assert_sound(response, measured(arm))
@@ -160,7 +160,7 @@ def test_every_planner_plans_to_the_goal_that_it_reads(arm: Stack, planner: str)
         assert any(np.allclose(end, as_row(pose), atol=1e-5) for pose in goals["target_poses"])
 
 
-def test_of_a_batch_the_nearest_pose_that_can_be_planned_to_is_taken(arm: Stack) -> None:
+def test_of_a_batch_the_nearest_reachable_pose_is_chosen(arm: Stack) -> None:
     choose(arm, "batch")
     start = tip(arm, HOME)[0]
     turn = Quaternion(x=start[3], y=start[4], z=start[5], w=start[6])
@@ -187,7 +187,7 @@ def test_held_axes_stay_as_they_are_all_the_way(arm: Stack, planner: str) -> Non
     assert (2 * np.arccos(np.clip(np.abs(poses[:, 3:] @ start[3:]), 0, 1))).max() < 0.021 * math.sqrt(3)
 
 
-def test_constraints_that_are_the_same_for_all_poses_are_held_and_others_are_refused(arm: Stack) -> None:
+def test_constraints_equal_for_all_poses_are_held(arm: Stack) -> None:
     choose(arm, "multipoint")
     start = tip(arm, HOME)[0]
     turn = Quaternion(x=start[3], y=start[4], z=start[5], w=start[6])
@@ -236,7 +236,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_a_request_that_cannot_be_met_is_answered_with_the_field_and_a_sentence(arm: Stack, case: str) -> None:
+def test_an_invalid_request_is_answered_by_field(arm: Stack, case: str) -> None:
     request, field = REFUSED[case]
     response = generate(arm, **request)
     assert not response.success
@@ -252,21 +252,21 @@ def test_planners_are_listed_by_the_numbers_of_their_constants(arm: Stack) -> No
     assert (response.current_planner_name, response.current_planner_id) == ("classic", SetPlanner.Request.CLASSIC)
 
 
-def test_a_switch_of_the_planner_tells_both_and_shows_in_the_parameter(arm: Stack) -> None:
+def test_set_planner_reports_both_and_sets_the_parameter(arm: Stack) -> None:
     response = choose(arm, "multipoint")
     assert (response.success, response.previous_planner, response.current_planner) == (True, "classic", "multipoint")
     assert parameter(arm, "planner_type").string_value == "multipoint"
     assert arm.ros.call(GetPlanners, "get_planners").current_planner_id == SetPlanner.Request.MULTIPOINT
 
 
-def test_a_planner_that_is_not_there_is_refused_and_nothing_changes(arm: Stack) -> None:
+def test_an_unknown_planner_is_refused_and_changes_nothing(arm: Stack) -> None:
     response = arm.ros.call(SetPlanner, "set_planner", planner_type=255)
     assert (response.success, response.previous_planner, response.current_planner) == (False, "classic", "classic")
     assert len(response.message) > 20
     assert parameter(arm, "planner_type").string_value == "classic"
 
 
-def test_a_planner_chosen_by_the_parameter_is_the_active_one_unless_it_is_not_there(arm: Stack) -> None:
+def test_the_planner_parameter_selects_the_active_planner(arm: Stack) -> None:
     assert set_parameter(arm, "planner_type", "joint_space").successful
     assert arm.ros.call(GetPlanners, "get_planners").current_planner_name == "joint_space"
     refused = set_parameter(arm, "planner_type", "mppi")
@@ -287,7 +287,7 @@ def test_many_clients_at_once_all_get_their_plan(arm: Stack) -> None:
 
 
 @pytest.mark.slow  # as they do by themselves, in process/test_reread.py
-def test_an_update_makes_every_service_take_the_changed_file_of_the_robot(arm: Stack, descriptor: Path) -> None:
+def test_an_update_makes_every_service_reload_the_robot(arm: Stack, descriptor: Path) -> None:
     goal = {"target_joint_positions": [1.0, *HOME[1:]]}
     before, fast = descriptor.read_text(), generate(arm, **goal)
     assert_sound(fast, HOME)
@@ -309,7 +309,7 @@ def test_an_update_makes_every_service_take_the_changed_file_of_the_robot(arm: S
     assert [arm.processes[name].process.pid for name in ("executor", "planner")] == processes
 
 
-def test_an_update_without_a_change_and_with_a_broken_file_leaves_all_as_it_is(arm: Stack, descriptor: Path) -> None:
+def test_an_update_of_a_broken_file_changes_nothing(arm: Stack, descriptor: Path) -> None:
     same = arm.ros.call(Trigger, "update_motion_gen_config")
     assert same.success, same.message
     before = descriptor.read_text()

@@ -27,7 +27,7 @@ def test_replies_are_sent_where_the_bridge_sends_them_again(kind: type, name: st
 
 
 @pytest.mark.parametrize("name", [name for name in vars(CheckedParameterService) if name.endswith("_callback")])
-def test_the_requests_of_parameters_come_where_the_bridge_checks_them(name: str) -> None:
+def test_parameter_requests_are_checked_by_the_bridge(name: str) -> None:
     callback = getattr(ParameterService, name, None)
     assert callback is not None, f"{CHANGED}ParameterService has no {name}"
     assert list(inspect.signature(callback).parameters) == ["self", "request", "response"], CHANGED + name
@@ -46,7 +46,7 @@ def test_what_the_bridge_overrides_and_calls_has_its_parameters(kind: type, name
     assert list(inspect.signature(method).parameters) == parameters, f"{CHANGED}{kind.__name__}.{name}"
 
 
-def test_messages_are_taken_of_several_topics_until_the_end_also_after_a_callback_that_failed() -> None:
+def test_topics_are_served_after_a_failing_callback() -> None:
     context = Context()
     rclpy.init(args=[], context=context)
     listener = Node("listener", context=context, start_parameter_services=False)

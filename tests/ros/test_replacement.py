@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 SLOW = rest_to_rest(moved(0.8), slower=6.0)
 
 
-def test_a_bridge_is_replaced_while_the_robot_moves_and_clients_on_ros_go_on(tmp_path: Path) -> None:
+def test_a_bridge_is_replaced_while_the_robot_moves(tmp_path: Path) -> None:
     with ExitStack() as later, stack(tmp_path) as zarm:
         client = Client(zarm.bus, KEYS)
         ask = lambda: zarm.ros.call(Trigger, "get_robot_strategy").message  # noqa: E731

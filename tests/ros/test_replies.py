@@ -59,9 +59,7 @@ def test_a_reply_is_sent_again_until_it_goes_out() -> None:
 
 
 @pytest.mark.slow
-def test_a_client_that_cannot_be_found_is_given_up_and_the_log_says_what_it_lacks(
-    running: Stack, bridge: ServiceProcess, node: Node
-) -> None:
+def test_an_undiscovered_client_is_given_up_and_logged(running: Stack, bridge: ServiceProcess, node: Node) -> None:
     lost = node.create_client(Trigger, "/unified_planner/get_robot_strategy", qos_profile=NOT_FOUND)
     assert RosClient(node).call(Trigger, "get_robot_strategy").success  # so DDS has told the bridge of the lost one too
     sentence = "a client of /unified_planner/get_robot_strategy has no reply"
@@ -72,7 +70,7 @@ def test_a_client_that_cannot_be_found_is_given_up_and_the_log_says_what_it_lack
 
 
 @pytest.mark.slow
-def test_the_goal_of_a_client_that_cannot_be_told_that_it_is_accepted_moves_nothing(
+def test_a_goal_whose_acceptance_cannot_be_sent_moves_nothing(
     running: Stack, bridge: ServiceProcess, node: Node
 ) -> None:
     Robot(running.bus, KEYS).plan()

@@ -39,9 +39,7 @@ with joined, open("/proc/self/maps") as maps, open("/proc/net/udp") as sockets:
 """
 
 
-def test_a_callback_that_raises_is_logged_and_the_next_request_is_answered(
-    node: Node, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_failing_callback_is_logged_and_the_next_is_served(node: Node, caplog: pytest.LogCaptureFixture) -> None:
     heard: list[bool] = []
 
     def receive(message: Bool) -> None:
@@ -85,9 +83,7 @@ def test_a_callback_that_raises_is_logged_and_the_next_request_is_answered(
     ],
     ids=["unsaid", "this machine", "this machine, as before Jazzy", "with shared memory"],
 )
-def test_it_reaches_whom_the_user_says_warns_where_nobody_did_and_shares_no_memory_unasked(
-    who: str, said: dict[str, str], reach: str
-) -> None:
+def test_discovery_is_as_set_or_warns_without_shared_memory(who: str, said: dict[str, str], reach: str) -> None:
     usual = {
         name: value for name, value in os.environ.items() if not name.startswith(("FASTRTPS_", "FASTDDS_", "ROS_"))
     }
@@ -110,7 +106,7 @@ with Ros("short_lived", workers=1) as ros:
 
 
 @pytest.mark.slow
-def test_a_client_sees_a_bridge_that_was_killed_as_gone_after_a_lease_of_5_s_instead_of_20(node: Node) -> None:
+def test_a_killed_bridge_is_gone_for_clients_after_5_s(node: Node) -> None:
     client = node.create_client(Trigger, "/short_lived/work")
     server = subprocess.Popen([sys.executable, "-c", SERVER], stdin=subprocess.PIPE)
     try:
@@ -121,7 +117,7 @@ def test_a_client_sees_a_bridge_that_was_killed_as_gone_after_a_lease_of_5_s_ins
     eventually(lambda: not client.service_is_ready(), "the client knows", patience=12.0)
 
 
-def test_tools_that_ask_every_node_see_the_one_whose_parameters_are_answered(node: Node) -> None:
+def test_tools_find_the_node_that_serves_parameters(node: Node) -> None:
     with Ros("seen", workers=1, parameters=True) as ros:
         ros.spin()
         eventually(lambda: "seen" in node.get_node_names(), "the node is found")

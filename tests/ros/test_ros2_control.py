@@ -72,7 +72,7 @@ def controller() -> Iterator[None]:
 
 
 @pytest.mark.slow
-def test_zarm_up_with_a_urdf_moves_the_arm_through_the_controller_that_it_names(tmp_path: Path, node: Node) -> None:
+def test_zarm_up_with_a_urdf_moves_through_its_controller(tmp_path: Path, node: Node) -> None:
     ros = RosClient(node)
     robot = ("--robot", str(described(tmp_path)), "--ros", "--strategy", "joint_trajectory")
     with controller(), Up(free_endpoint(), tmp_path, *robot, name="arm", XDG_CACHE_HOME=str(tmp_path / "cache")) as up:

@@ -94,7 +94,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
             assert "Traceback" not in process.output()
 
 
-def test_while_the_router_is_away_services_and_goals_say_so_and_then_everything_is_there_again(place: Place) -> None:
+def test_without_a_router_services_say_so_and_recover(place: Place) -> None:
     place.robot.plan()
     place.stop_router()
     for kind, name, request in (
@@ -153,7 +153,7 @@ def test_a_goal_outlives_a_restart_of_the_router(place: Place) -> None:
 
 
 @pytest.mark.slow
-def test_a_goal_of_which_nothing_is_heard_is_aborted_and_the_next_one_runs_when_the_router_is_back(
+def test_a_silent_goal_is_aborted_and_the_next_one_runs(
     place: Place,
 ) -> None:
     place.robot.plan(speed=0.15)
@@ -170,7 +170,7 @@ def test_a_goal_of_which_nothing_is_heard_is_aborted_and_the_next_one_runs_when_
     assert status == SUCCEEDED, result.message
 
 
-def test_a_bridge_that_alone_lost_its_link_shows_the_scene_that_became_meanwhile(place: Place) -> None:
+def test_a_reconnected_bridge_shows_the_scene_edited_meanwhile(place: Place) -> None:
     shown = place.heard(MarkerArray, "/unified_planner/obstacles", LATCHED)
     eventually(shown.__len__, "the scene is shown")
     for name in ("pillar", "post"):

@@ -17,9 +17,7 @@ from support.paths import ROOT
 ROS = ROOT / "deploy" / "ros"
 
 
-def test_the_view_shows_robot_ghost_obstacles_and_spheres_from_the_topics_of_the_bridge_for_whoever_comes_late() -> (
-    None
-):
+def test_rviz_shows_robot_ghost_scene_and_spheres_when_late_too() -> None:
     displays = yaml.safe_load((ROS / "view.rviz").read_text())["Visualization Manager"]["Displays"]
     topics = {
         display["Name"]: topic
@@ -82,7 +80,7 @@ def test_the_launch_file_starts_what_shows_robot_and_ghost(launched: Callable[..
     assert Path(rviz["arguments"][1]).is_file()
 
 
-def test_the_launch_file_shows_one_of_several_robots_by_its_namespace(launched: Callable[..., list[Made]]) -> None:
+def test_the_launch_file_shows_one_robot_by_namespace(launched: Callable[..., list[Made]]) -> None:
     robot, ghost, _, rviz = (node.options for node in launched(namespace="left"))
     assert (robot["namespace"], ghost["namespace"]) == ("left", "left/preview")
     assert all(shown == f"/left{topic}" for topic, shown in rviz["remappings"])

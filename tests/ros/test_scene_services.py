@@ -109,7 +109,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_an_object_that_cannot_be_is_refused_with_the_field_and_nothing_changes(arm: Stack, case: str) -> None:
+def test_an_invalid_object_is_refused_by_field(arm: Stack, case: str) -> None:
     add(arm, Request.SPHERE, "there", at(0.6, 0.3, 0.1), 0.05)
     before = scene(arm)
     wrong, field = REFUSED[case]
@@ -151,7 +151,7 @@ def distances(arm: Stack) -> list[float]:
     return list(response.data)
 
 
-def test_a_distance_is_told_for_each_sphere_and_is_negative_inside(arm: Stack) -> None:
+def test_distances_are_given_per_sphere_negative_inside(arm: Stack) -> None:
     assert len(distances(arm)) == len(SPHERES)
     assert min(distances(arm)) > 0.0
     add(arm, Request.SPHERE, "ball", at(0.45, 0.0, 0.7), 0.3)

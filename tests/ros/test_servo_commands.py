@@ -113,7 +113,7 @@ def trajectory(joints: tuple[str, ...] = ROBOT.joints, *rows: list[float], veloc
 
 
 @pytest.mark.parametrize("velocities", [True, False])
-def test_a_trajectory_is_a_chunk_in_the_order_of_the_robot_and_says_what_is_clipped(velocities: bool) -> None:
+def test_a_trajectory_becomes_a_chunk_and_reports_clipping(velocities: bool) -> None:
     rows = [[6.0, 5.0, 4.0, 3.0, 2.0, 1.0], [6.5, 5.5, 4.5, 3.5, 2.5, 1.5]]
     session = Told()
     said = chunk_of(trajectory(ROBOT.joints[::-1], *rows, velocities=velocities), ROBOT, base_only)(session)
@@ -144,14 +144,14 @@ def test_what_cannot_be_followed_is_refused_with_its_field(read: Any, message: A
     assert refused.value.problem.field == field
 
 
-def test_a_pose_in_the_axes_of_the_tip_is_refused_as_it_would_run_away() -> None:
+def test_a_pose_in_the_tip_frame_is_refused() -> None:
     message = PoseStamped()
     message.header.frame_id = "link_6"
     with pytest.raises(InvalidRequest, match="use base_link"):
         target_of(message, ROBOT, base_only)
 
 
-def test_a_message_is_late_against_others_of_its_topic_whatever_clock_stamps_them() -> None:
+def test_lateness_is_measured_against_the_same_topic() -> None:
     seen = Punctuality()
     ahead = 1e9  # of the clock that stamps, s
     assert not seen.late(ahead + 0.0, 5.0)
@@ -161,7 +161,7 @@ def test_a_message_is_late_against_others_of_its_topic_whatever_clock_stamps_the
     assert not seen.late(0.0, 9.0)  # no stamp
 
 
-def test_a_robot_is_on_target_after_as_many_steps_within_both_thresholds_as_asked_for() -> None:
+def test_on_target_needs_enough_steps_within_both_thresholds() -> None:
     approach = Approach(position=0.01, orientation=0.05, hold_steps=3, step=0.1)
 
     def judge(position: float, orientation: float, now: float) -> tuple[int, bool]:

@@ -109,7 +109,7 @@ def test_an_endpoint_that_is_none_is_refused() -> None:
     assert "tcp/" in the_one_line(result.stderr)
 
 
-def test_a_router_that_hangs_is_not_taken_for_one_with_certificates(tmp_path: Path) -> None:
+def test_a_hanging_router_is_not_taken_for_a_secured_one(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     with Router(tmp_path, "--listen", endpoint) as router:
         router.interrupt(signal.SIGSTOP)

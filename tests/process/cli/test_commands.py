@@ -61,7 +61,7 @@ def test_a_position_alone_keeps_the_orientation_of_the_tool(up: Up, empty_scene:
     assert cosine == pytest.approx(1.0, abs=1e-4)
 
 
-def test_of_several_poses_with_any_the_quickest_to_reach_is_planned_to(up: Up, empty_scene: None) -> None:
+def test_any_plans_to_the_pose_reached_soonest(up: Up, empty_scene: None) -> None:
     poses = ("--to", f"-0.4,-0.4,0.5,{DOWN}", "--to", f"5,0,0.5,{DOWN}", "--to", f"0.5,0.2,0.5,{DOWN}")
     plan = data(up, "plan", *poses, "--any", "--start", vector(HOME))
     assert plan["selected_goal_index"] == 2
@@ -175,7 +175,7 @@ def test_a_file_that_holds_no_plan_is_named(up: Up, tmp_path: Path) -> None:
     assert str(file) in refused(up, "execute", "--plan", str(file))
 
 
-def test_ctrl_c_during_execute_cancels_and_waits_until_the_robot_stands(
+def test_ctrl_c_during_execute_cancels_and_waits_for_rest(
     up: Up, observer: Bus, empty_scene: None, tmp_path: Path
 ) -> None:
     done(up, "execute", "--joints", near_home(0.0))
@@ -211,7 +211,7 @@ def mode(bus: Bus) -> str:
 # -- the executor --
 
 
-def test_stop_cancel_pause_resume_and_reset_answer_with_the_state(up: Up) -> None:
+def test_stop_cancel_pause_resume_and_reset_print_the_state(up: Up) -> None:
     for order in ("stop", "cancel", "pause", "resume", "reset"):
         assert data(up, order)["mode"] == "idle"
     assert done(up, "stop").startswith("idle")
@@ -259,7 +259,7 @@ def test_a_goal_preempts_another_only_when_it_is_asked_to(
     assert measured(observer)[0] == pytest.approx(0.0, abs=0.01)
 
 
-def test_speed_shows_and_changes_at_which_share_of_the_planned_speed_the_robot_moves(up: Up, observer: Bus) -> None:
+def test_speed_shows_and_sets_the_speed_scaling(up: Up, observer: Bus) -> None:
     assert data(up, "speed") == {"speed_scale": 1.0}
     assert done(up, "speed", "0.4") == "40% of the planned speed\n"
     assert data(up, "speed") == {"speed_scale": 0.4}

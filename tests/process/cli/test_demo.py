@@ -16,7 +16,7 @@ from support.tiers import sampled
 
 
 @pytest.mark.parametrize("count", sampled(1, 2))
-def test_demos_at_once_plan_around_the_post_and_reach_their_goals(tmp_path: Path, count: int) -> None:
+def test_concurrent_demos_plan_around_the_post(tmp_path: Path, count: int) -> None:
     with ExitStack() as stack:
         for demo in [stack.enter_context(Command("demo", folder=tmp_path)) for _ in range(count)]:
             assert demo.end() == 0, demo.errors()
@@ -30,7 +30,7 @@ def test_demos_at_once_plan_around_the_post_and_reach_their_goals(tmp_path: Path
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.skipif(not (find_library("EGL") or find_library("OSMesa")), reason="nothing renders here")
-def test_with_physics_the_arm_clears_the_table_and_goes_around_what_falls(tmp_path: Path) -> None:
+def test_with_physics_the_arm_sorts_and_avoids_what_falls(tmp_path: Path) -> None:
     with Command("demo", "--physics", folder=tmp_path) as demo:
         assert demo.end(240.0) == 0, demo.errors()
         assert "sees 4 blocks" in demo.output()
@@ -62,7 +62,7 @@ def test_ctrl_c_in_the_middle_of_the_demo_leaves_no_process(tmp_path: Path, mome
 
 
 @pytest.mark.slow
-def test_with_a_page_the_demo_moves_when_somebody_has_opened_it_and_stays(tmp_path: Path) -> None:
+def test_with_a_page_the_demo_waits_for_a_visitor_and_stays(tmp_path: Path) -> None:
     person, terminal = pty.openpty()
     with Command(
         "demo", "--view", folder=tmp_path, stdin=terminal, ZARM_VIEW=free_endpoint().removeprefix("tcp/")

@@ -40,7 +40,7 @@ def begun(command: Command) -> None:
 
 
 @pytest.mark.parametrize("number", sampled(signal.SIGINT, signal.SIGTERM))
-def test_a_motion_is_on_record_as_it_went_over_the_bus_and_is_told(
+def test_a_motion_is_recorded_as_sent_and_summarised(
     client: Client, endpoint: str, tmp_path: Path, number: int
 ) -> None:
     file = tmp_path / "one.mcap"
@@ -98,9 +98,7 @@ def test_depth_images_are_on_record_if_they_are_asked_for(client: Client, endpoi
     assert goal_id in story.stdout
 
 
-def test_scene_map_and_simulation_are_on_record_if_they_are_asked_for_and_play(
-    client: Client, endpoint: str, tmp_path: Path
-) -> None:
+def test_scene_map_and_simulation_are_recorded_on_request(client: Client, endpoint: str, tmp_path: Path) -> None:
     with_scene, without = tmp_path / "with.mcap", tmp_path / "without.mcap"
     box = Cuboid(kind="cuboid", name="box", size=(0.1, 0.1, 0.1), position=(0.5, 0.0, 0.05))
     block = VoxelBlock(position=(0.0, 0.0, 0.0), resolution=0.02, cells=b64encode(b"\x01" + bytes(511)).decode())
@@ -221,9 +219,7 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_record_is_published_again_under_another_name_and_commands_to_drivers_never(
-    bus: Bus, endpoint: str, file: Path
-) -> None:
+def test_a_record_is_replayed_under_a_name_without_commands(bus: Bus, endpoint: str, file: Path) -> None:
     heard: list[tuple[str, bytes]] = []
     bus.listen("zarm/*/driver/command", lambda key, payload: heard.append((key, payload)))
     bus.listen("zarm/*/executor/stream", lambda key, payload: heard.append((key, payload)))
@@ -243,9 +239,7 @@ def test_a_record_is_not_published_as_a_robot_that_is_there(client: Client, endp
     assert client.state().mode == "idle"  # that executor has not given way
 
 
-def test_no_executor_starts_under_the_name_that_a_record_is_published_as(
-    bus: Bus, endpoint: str, file: Path, tmp_path: Path
-) -> None:
+def test_no_executor_starts_under_a_replayed_name(bus: Bus, endpoint: str, file: Path, tmp_path: Path) -> None:
     with Command(
         "replay", str(file), "--publish", OTHER.robot, "--speed", "0.01", folder=tmp_path, ZARM_CONNECT=endpoint
     ) as command:

@@ -88,7 +88,7 @@ def meshes(source: Path) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.timeout(PATIENCE)
-def test_every_point_of_the_meshes_is_within_the_exact_geometry_and_that_within_the_cover(
+def test_exact_geometry_contains_the_meshes_and_the_cover_both(
     arm: RobotDescription, meshes: dict[str, np.ndarray]
 ) -> None:
     rng = np.random.default_rng(5)
@@ -105,9 +105,7 @@ def test_every_point_of_the_meshes_is_within_the_exact_geometry_and_that_within_
 
 @pytest.mark.slow
 @pytest.mark.timeout(PATIENCE)
-def test_its_motions_around_a_post_touch_nothing_by_another_library_on_the_original_meshes(
-    model: RobotModel, meshes: dict[str, np.ndarray]
-) -> None:
+def test_its_motions_around_a_post_touch_nothing_by_fcl(model: RobotModel, meshes: dict[str, np.ndarray]) -> None:
     world = World([Sphere(kind="sphere", name="post", position=POST, radius=RADIUS)], 0.005)
     scene = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
     rng = np.random.default_rng(3)

@@ -41,13 +41,13 @@ def test_the_file_for_other_routers_says_what_zarm_sets_itself() -> None:
     assert json.loads(str(router_config(config=FILE))) == json.loads(str(router_config()))
 
 
-def test_a_router_of_a_file_that_names_no_endpoint_listens_on_loopback_alone(tmp_path: Path) -> None:
+def test_a_router_file_without_endpoints_listens_on_loopback(tmp_path: Path) -> None:
     bare = tmp_path / "bare.json5"
     bare.write_text("{ mode: 'router' }")
     assert router_config(config=bare).get_json("listen/endpoints") == '["tcp/127.0.0.1:7447"]'
 
 
-def test_a_file_that_is_no_configuration_is_refused_with_a_sentence(tmp_path: Path) -> None:
+def test_an_invalid_router_file_is_refused_with_a_sentence(tmp_path: Path) -> None:
     nonsense = tmp_path / "nonsense.json5"
     nonsense.write_text("{ mode: 'rooter' }")
     for file, reason in ((nonsense, "rooter"), (tmp_path / "missing.json5", "No such file")):
@@ -57,7 +57,7 @@ def test_a_file_that_is_no_configuration_is_refused_with_a_sentence(tmp_path: Pa
         assert reason in line
 
 
-def test_linked_routers_are_one_bus_whichever_starts_first_and_again_after_one_was_killed(tmp_path: Path) -> None:
+def test_linked_routers_form_one_bus_in_any_order_and_again(tmp_path: Path) -> None:
     first, second = free_endpoint(), free_endpoint()
     with Router(tmp_path, "--listen", second, "--link", first):
         with Router(tmp_path, "--listen", first) as router:

@@ -27,7 +27,7 @@ def test_up_says_what_runs_where_and_what_to_try_next(up: Up, empty_scene: None)
     assert done.returncode == 0, done.stderr
 
 
-def test_physics_for_a_robot_that_nothing_would_drive_is_refused_with_the_remedy(tmp_path: Path) -> None:
+def test_physics_for_a_robot_without_a_driver_is_refused(tmp_path: Path) -> None:
     refused = zarm("up", "--robot", str(undriven_panda(tmp_path)), "--driver", "physics", "--listen", free_endpoint())
     assert refused.returncode == 1
     assert "panda has no strategy_params in its descriptor" in the_one_line(refused.stderr)
@@ -49,7 +49,7 @@ def test_settings_of_what_is_not_started_are_refused(option: str, remedy: str) -
     assert remedy in the_one_line(refused.stderr)
 
 
-def test_a_second_up_for_the_same_robot_is_refused_with_a_sentence(up: Up) -> None:
+def test_a_second_up_for_the_same_robot_is_refused(up: Up) -> None:
     with Bus(up.endpoint) as bus:
         before = bus.alive(ALL_ALIVE)
         for where in ("--listen", "--connect"):
@@ -92,7 +92,7 @@ def test_ctrl_c_stops_the_executor_first_and_leaves_no_process(tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_an_unknown_strategy_ends_the_whole_launch_with_its_reason_where_logs_are_json_too(tmp_path: Path) -> None:
+def test_an_unknown_strategy_ends_the_launch_with_json_logs(tmp_path: Path) -> None:
     arguments = ("up", "--strategy", "telepathy", "--listen", free_endpoint(), "--state", str(tmp_path))
     with Command(*arguments, folder=tmp_path, ZARM_LOG_FORMAT="json") as up:
         assert up.end() == 3
@@ -142,7 +142,7 @@ def test_malformed_yaml_is_said_with_file_and_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_unknown_strategy_ends_the_whole_launch_with_its_reason(tmp_path: Path) -> None:
+def test_an_unknown_strategy_ends_the_launch_with_its_reason(tmp_path: Path) -> None:
     arguments = ("up", "--strategy", "telepathy", "--listen", free_endpoint(), "--state", str(tmp_path))
     with Command(*arguments, folder=tmp_path) as up:
         assert up.end() == 3

@@ -24,9 +24,7 @@ from zarm_runtime.bus import Bus
 IDLE = ExecutorState(mode="idle", strategy="emulator", speed_scale=1.0, missed_ticks=0)
 
 
-def test_ctrl_c_meanwhile_does_not_keep_the_goal_from_being_withdrawn_by_its_name(
-    bus: Bus, endpoint: str, tmp_path: Path
-) -> None:
+def test_ctrl_c_does_not_keep_the_goal_from_being_withdrawn(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     asked: list[ExecuteRequest] = []
     withdrawn: list[CancelRequest] = []
     interrupted = threading.Event()
@@ -66,7 +64,7 @@ def press(command: Command) -> None:
     )
 
 
-def test_whoever_is_tired_of_an_executor_that_hangs_hears_what_is_waited_for_then_leaves(
+def test_insisting_leaves_a_hanging_executor_with_a_warning(
     client: Client, executor: ServiceProcess, endpoint: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "plan.json"
@@ -92,7 +90,7 @@ def test_whoever_is_tired_of_an_executor_that_hangs_hears_what_is_waited_for_the
 
 
 @pytest.mark.slow  # near to the test before
-def test_whoever_leaves_before_the_goal_is_taken_has_withdrawn_it(bus: Bus, endpoint: str, tmp_path: Path) -> None:
+def test_leaving_before_acceptance_withdraws_the_goal(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     asked: Queue[str | None] = Queue()
     withdrawn: Queue[str | None] = Queue()
     may_answer = threading.Event()

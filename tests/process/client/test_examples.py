@@ -43,9 +43,7 @@ def test_there_is_a_promise_for_each_and_the_readme_lists_it() -> None:
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in SAYS])
-def test_an_example_runs_and_leaves_the_robot_at_rest_in_an_empty_scene(
-    name: str, place: str, empty_scene: None, tmp_path: Path
-) -> None:
+def test_an_example_runs_and_leaves_the_robot_at_rest(name: str, place: str, empty_scene: None, tmp_path: Path) -> None:
     with ExitStack() as stack:
         if name == OF_ITS_OWN:
             stack.enter_context(Up(place, tmp_path, joins=True, name="second"))

@@ -101,7 +101,7 @@ def test_if_one_arm_stops_the_other_comes_to_rest_on_its_path(cell: LedCell) -> 
     assert_on_paths(cell, plan)
 
 
-def test_if_an_executor_ends_the_other_arm_comes_to_rest_on_its_path(cell: LedCell) -> None:
+def test_if_an_executor_ends_the_other_arm_stops_on_its_path(cell: LedCell) -> None:
     plan = slow(cell)
     goal_id = cell.whole.start(plan)
     under_way(cell, plan)
@@ -121,7 +121,7 @@ def test_nothing_moves_if_one_arm_could_not_follow(cell: LedCell) -> None:
     assert cell.whole.joint_state().position == pytest.approx(cell.robot.descriptor.home, abs=ON_PATH)
 
 
-def test_an_arm_that_is_not_led_moves_by_itself_and_the_whole_waits_for_it(cell: LedCell) -> None:
+def test_an_arm_that_is_not_led_moves_alone_and_is_waited_for(cell: LedCell) -> None:
     left = cell.clients["left_arm"]
     eventually(lambda: left.state().mode == "idle", "the arm is free")
     plan = slow(cell)

@@ -136,7 +136,7 @@ def test_freedom_that_makes_no_sense_is_refused_by_argument(make: object, field:
     assert refused.value.problem.field == field
 
 
-def test_of_several_poses_the_one_that_is_quickest_to_reach_is_planned_to(robot: zarm.Robot) -> None:
+def test_of_several_poses_the_one_reached_soonest_is_chosen(robot: zarm.Robot) -> None:
     there, near = robot.fk([ELSEWHERE, [(a + 3 * b) / 4 for a, b in zip(ELSEWHERE, HOME, strict=True)]])
     plan = robot.plan(zarm.AnyOf(zarm.Pose((5.0, 0.0, 0.5)), there, near), start=HOME)
     assert plan.selected_goal_index == 2
@@ -199,7 +199,7 @@ def test_the_progress_of_a_goal_is_told_up_to_its_end(robot: zarm.Robot) -> None
     assert all(before.progress <= after.progress for before, after in itertools.pairwise(reported))
 
 
-def test_a_goal_that_is_started_is_followed_and_cancelled_by_its_id(robot: zarm.Robot) -> None:
+def test_a_started_goal_is_followed_and_cancelled_by_id(robot: zarm.Robot) -> None:
     goal = robot.start(robot.plan(ELSEWHERE, velocity_scale=SLOWLY))
     on_its_way(robot)
     with pytest.raises(zarm.Busy):
@@ -215,7 +215,7 @@ def test_who_executes_a_goal_that_another_client_ends_is_told_so(robot: zarm.Rob
 
 
 @pytest.mark.slow  # as an exception in a stream does
-def test_an_exception_of_who_is_told_the_progress_stops_the_robot(robot: zarm.Robot) -> None:
+def test_an_exception_in_the_progress_callback_stops_the_robot(robot: zarm.Robot) -> None:
     def fail(goal: GoalState) -> None:
         if goal.progress > 0.1:
             raise LookupError("enough")
@@ -236,9 +236,7 @@ def test_ctrl_c_stops_the_robot_before_the_program_goes_on(robot: zarm.Robot, pl
 
 
 @pytest.mark.slow
-def test_a_second_ctrl_c_leaves_an_executor_that_hangs_and_says_what_that_means(
-    robot: zarm.Robot, place: str, observer: Bus
-) -> None:
+def test_a_second_ctrl_c_leaves_a_hanging_executor(robot: zarm.Robot, place: str, observer: Bus) -> None:
     executor = pid(observer, "executor")
     with program(place) as running:
         on_its_way(robot)
@@ -293,7 +291,7 @@ def test_a_stream_that_is_not_gone_on_with_brakes_and_says_so(robot: zarm.Robot)
     assert robot.joint_state().position[0] < 0.9
 
 
-def test_who_leaves_a_stream_without_a_last_trajectory_has_stopped_the_robot(robot: zarm.Robot) -> None:
+def test_leaving_a_stream_without_a_final_chunk_stops_the_robot(robot: zarm.Robot) -> None:
     plan = robot.plan(ELSEWHERE, velocity_scale=SLOWLY)
     with robot.stream(deadline=1.0) as stream:
         stream.send(plan.trajectory)
@@ -379,7 +377,7 @@ def test_an_asynchronous_stream_is_played_to_its_end(robot: zarm.Robot, place: s
 # -- after the with --
 
 
-def test_a_client_that_is_used_after_its_with_says_that_it_is_closed(place: str, robot: zarm.Robot) -> None:
+def test_a_closed_client_says_that_it_is_closed(place: str, robot: zarm.Robot) -> None:
     with zarm.connect(place) as left:
         scene, states, joints = left.scene, left.states(), left.joint_states()
         goal_id = left.start(left.plan(HOME))
@@ -409,7 +407,7 @@ def test_a_client_that_is_used_after_its_with_says_that_it_is_closed(place: str,
         assert "the connection is closed" in refused, name
 
 
-def test_a_client_for_asyncio_that_is_used_after_its_with_says_so_too(place: str, robot: zarm.Robot) -> None:
+def test_a_closed_async_client_says_that_it_is_closed(place: str, robot: zarm.Robot) -> None:
     async def use() -> None:
         async with zarm.aio.connect(place) as left:
             await left.state()

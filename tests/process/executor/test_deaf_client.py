@@ -15,7 +15,7 @@ from zarm_runtime.bus import Bus
 FAR = rest_to_rest(moved(1.0, -0.5, 0.3), slower=4.0)
 
 
-def test_the_robot_moves_and_stops_beside_a_client_that_takes_nothing(tmp_path: Path) -> None:
+def test_a_deaf_client_delays_neither_motion_nor_stop(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     with (
         beside(route, endpoint),

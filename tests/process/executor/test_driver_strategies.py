@@ -35,9 +35,7 @@ EXAMPLE = EXAMPLES / "zenoh_driver.py"
 
 
 @pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_trajectory"))
-def test_a_goal_is_reached_on_every_joint_and_what_is_measured_is_published(
-    bus: Bus, endpoint: str, tmp_path: Path, strategy: str
-) -> None:
+def test_a_goal_is_reached_on_every_joint_and_published(bus: Bus, endpoint: str, tmp_path: Path, strategy: str) -> None:
     with driven(bus, endpoint, tmp_path, strategy) as robot:
         goal_id = robot.client.execute(THERE)
         assert robot.client.ended(goal_id).status == "succeeded"
@@ -54,9 +52,7 @@ def test_a_goal_is_reached_on_every_joint_and_what_is_measured_is_published(
 
 
 @pytest.mark.slow  # as joint_speed does; what it sends is in unit/executor
-def test_joint_pose_reaches_the_goal_on_the_simulated_driver_as_it_comes(
-    bus: Bus, endpoint: str, tmp_path: Path
-) -> None:
+def test_joint_pose_reaches_the_goal_on_the_simulated_driver(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     with driven(bus, endpoint, tmp_path, "joint_pose") as robot:
         assert robot.client.ended(robot.client.execute(THERE)).status == "succeeded"
         np.testing.assert_allclose(robot.at_rest(), FAR, atol=0.005)
@@ -65,9 +61,7 @@ def test_joint_pose_reaches_the_goal_on_the_simulated_driver_as_it_comes(
         assert not any(command.velocity for command in chunks)
 
 
-def test_joint_pose_under_a_driver_that_plays_velocities_moves_nothing_and_says_so(
-    bus: Bus, endpoint: str, tmp_path: Path
-) -> None:
+def test_joint_pose_is_refused_by_a_driver_that_plays_velocities(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     with driven(bus, endpoint, tmp_path, "joint_pose", "--plays", "velocity") as robot:
         robot.client.execute(THERE)
         assert "path_tolerance" in robot.fault("tolerance_violated").problem.message
@@ -75,9 +69,7 @@ def test_joint_pose_under_a_driver_that_plays_velocities_moves_nothing_and_says_
 
 
 @pytest.mark.slow  # as in unit/executor/test_monitor.py
-def test_where_the_descriptor_says_so_the_next_goal_leaves_a_fault_whose_reason_is_gone(
-    bus: Bus, endpoint: str, tmp_path: Path
-) -> None:
+def test_clear_at_rest_lets_the_next_goal_leave_a_fault(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     robot = forgiving(tmp_path / "robot")
     with driven(bus, endpoint, tmp_path, "joint_speed", robot=robot, waited_for=False) as arm:
         arm.client.under_way(arm.client.execute(THERE))
@@ -90,9 +82,7 @@ def test_where_the_descriptor_says_so_the_next_goal_leaves_a_fault_whose_reason_
         np.testing.assert_allclose(arm.at_rest(), HOME, atol=0.005)
 
 
-def test_the_ur5e_reaches_the_goal_by_whole_trajectories_without_being_told_progress(
-    bus: Bus, endpoint: str, tmp_path: Path
-) -> None:
+def test_the_ur5e_reaches_a_goal_without_driver_progress(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     ur5e = load_robot("ur5e")
     home = np.array(ur5e.descriptor.home)
     goal = moved(1.0, 0.5, -0.3, start=home)
@@ -161,9 +151,7 @@ def test_switching_to_the_driver_and_back_while_it_moves(bus: Bus, endpoint: str
         np.testing.assert_allclose(robot.at_rest(), HOME, atol=0.005)
 
 
-def test_without_a_driver_the_strategies_that_need_one_say_so_and_a_switch_leaves_the_former(
-    bus: Bus, endpoint: str, tmp_path: Path
-) -> None:
+def test_a_switch_without_a_driver_is_refused(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     text = find_robot("doosan_m1013").read_text()
     assert "joint_speed, joint_pose, joint_trajectory]" in text
     text = text.replace("joint_speed, joint_pose, joint_trajectory]", "joint_speed, joint_trajectory]")
@@ -297,9 +285,7 @@ def driver_that_never_tells_of_the_end(bus: Bus) -> Iterator[None]:
 
 
 @pytest.mark.slow  # as a driver that tells no progress at all
-def test_a_goal_is_reached_though_its_driver_is_not_heard_to_be_at_the_end(
-    bus: Bus, endpoint: str, tmp_path: Path
-) -> None:
+def test_a_goal_is_reached_without_the_driver_s_final_progress(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     descriptor = str(patient(tmp_path / "patient"))
     executor = ServiceProcess(
         "executor", endpoint, tmp_path, robot=descriptor, arguments=("--strategy", "joint_trajectory")

@@ -49,7 +49,7 @@ def test_the_next_motion_starts_where_the_last_one_ended(shared: Client) -> None
     np.testing.assert_allclose(shared.position(), HOME, atol=1e-9)
 
 
-def test_the_joints_are_measured_at_100_hz_also_when_nothing_moves(shared: Client) -> None:
+def test_joints_are_published_at_100_hz_at_rest_too(shared: Client) -> None:
     shared.stands(100)
     stamps = np.array([joints.stamp for joints in shared.measured])
     np.testing.assert_allclose(np.diff(stamps) % 0.01, 0.005, atol=0.0051)
@@ -93,7 +93,7 @@ def test_cancel_and_stop_end_the_goal_at_rest_on_its_path(shared: Client, key: Q
 
 
 @pytest.mark.slow
-def test_cancelling_what_does_not_run_is_no_error_and_changes_nothing(shared: Client) -> None:
+def test_cancelling_what_does_not_run_changes_nothing(shared: Client) -> None:
     assert shared.cancel().mode == "idle"
     finished = shared.execute(SHORT)
     shared.ended(finished)
@@ -177,7 +177,7 @@ def renamed(trajectory: Trajectory) -> Trajectory:
     ],
     ids=["too fast", "out of range", "starts elsewhere", "other joints"],
 )
-def test_a_motion_that_must_not_be_is_refused_with_a_reason_and_nothing_moves(
+def test_an_invalid_motion_is_refused_with_a_reason(
     shared: Client, trajectory: Trajectory, code: str, names: str
 ) -> None:
     with pytest.raises(ZarmError) as refusal:
@@ -265,7 +265,7 @@ def test_a_late_joiner_sees_the_present_state_and_the_goals(shared: Client, plac
 
 
 @pytest.mark.slow
-def test_the_last_finished_goals_stay_answerable_and_older_ones_are_forgotten(shared: Client) -> None:
+def test_the_last_finished_goals_are_kept_and_older_ones_dropped(shared: Client) -> None:
     goals = []
     for number in range(FINISHED_GOALS + 1):
         start, goal = (HOME, moved(0.001)) if number % 2 == 0 else (moved(0.001), HOME)
@@ -300,7 +300,7 @@ def test_an_executor_that_cannot_start_says_why_in_one_line(endpoint: str, tmp_p
         assert "Traceback" not in process.output()
 
 
-def test_an_executor_without_a_place_for_its_state_does_not_start(endpoint: str, tmp_path: Path) -> None:
+def test_an_executor_without_a_state_folder_does_not_start(endpoint: str, tmp_path: Path) -> None:
     (tmp_path / KEYS.robot).write_text("a file where the folder should be")
     with ServiceProcess("executor", endpoint, tmp_path) as process:
         assert process.process.wait(PATIENCE) == 1

@@ -73,7 +73,7 @@ def stays_where_it_was_stopped(client: Client, execute: Message) -> None:
 
 
 @pytest.mark.parametrize("samples", sampled(200, 50, 3000, 16000))
-def test_an_execute_that_was_sent_before_a_stop_does_not_start_after_it(
+def test_an_execute_sent_before_a_stop_does_not_start_after_it(
     executor: ServiceProcess, client: Client, endpoint: str, samples: int
 ) -> None:
     with open_client(endpoint) as session:
@@ -90,7 +90,7 @@ def test_an_execute_that_was_sent_before_a_stop_does_not_start_after_it(
 
 
 @pytest.mark.parametrize("samples", sampled(3000, 50))
-def test_a_frozen_executor_takes_what_it_finds_in_the_order_in_which_it_came_from_whichever_session(
+def test_a_thawed_executor_handles_messages_in_order_of_arrival(
     executor: ServiceProcess, client: Client, endpoint: str, samples: int
 ) -> None:
     with open_client(endpoint) as one, open_client(endpoint) as other:
@@ -108,7 +108,7 @@ def test_a_frozen_executor_takes_what_it_finds_in_the_order_in_which_it_came_fro
             assert abs(client.position() - where).max() < 0.01  # a tick or two, where it had begun
 
 
-def test_a_stream_that_was_sent_before_a_stop_does_not_begin_after_it(
+def test_a_stream_sent_before_a_stop_does_not_begin_after_it(
     executor: ServiceProcess, client: Client, endpoint: str
 ) -> None:
     with open_client(endpoint) as session:
@@ -127,7 +127,7 @@ def test_a_stream_that_was_sent_before_a_stop_does_not_begin_after_it(
             eventually(client.stands, "the robot stands")
 
 
-def test_a_switch_that_was_sent_before_a_stop_is_not_carried_out_after_it(
+def test_a_switch_sent_before_a_stop_is_not_carried_out(
     executor: ServiceProcess, client: Client, endpoint: str
 ) -> None:
     with open_client(endpoint) as session:

@@ -69,9 +69,7 @@ def attempt(client: Client, plan_id: str) -> str | None:
         return None
 
 
-def test_the_plan_that_the_planner_holds_runs_before_its_publication_arrives(
-    endpoint: str, bus: Bus, tmp_path: Path
-) -> None:
+def test_a_plan_is_fetched_before_its_publication_arrives(endpoint: str, bus: Bus, tmp_path: Path) -> None:
     tell_scene(bus)
     held = [plan("first", rest_to_rest(moved(0.02)))]
     bus.serve(ONLY_READ, lambda _: held[-1])  # nothing is ever published
@@ -133,7 +131,7 @@ def test_a_plan_of_any_other_scene_than_the_present_one_is_stale(
         assert client.stands()
 
 
-def test_a_plan_whose_scene_nobody_can_compare_with_the_present_one_is_refused(client: Client) -> None:
+def test_a_plan_of_an_unknown_scene_is_refused(client: Client) -> None:
     with pytest.raises(Unavailable, match="start the planner"):
         client.execute(SHORT, scene_revision=SCENE)
     assert client.stands()
@@ -144,9 +142,7 @@ def test_a_plan_whose_scene_nobody_can_compare_with_the_present_one_is_refused(c
 
 
 @pytest.mark.parametrize("strategy", sampled("emulator", "ghost"))
-def test_every_plan_is_previewed_whatever_the_strategy_and_the_robot_stays(
-    endpoint: str, bus: Bus, tmp_path: Path, strategy: str
-) -> None:
+def test_every_plan_is_previewed_under_every_strategy(endpoint: str, bus: Bus, tmp_path: Path, strategy: str) -> None:
     with ServiceProcess("executor", endpoint, tmp_path, arguments=("--strategy", strategy)) as process:
         process.wait_ready(bus, KEYS)
         client = Client(bus)

@@ -16,7 +16,7 @@ from zarm_contract.errors import Busy, Cancelled, ExecutionRefused, InvalidReque
 FAR = rest_to_rest(moved(1.5, -0.5))
 
 
-def test_a_paused_goal_gives_way_to_one_that_starts_where_the_robot_rests(shared: Client) -> None:
+def test_a_paused_goal_is_preempted_from_where_it_rests(shared: Client) -> None:
     first = shared.execute(FAR)
     shared.under_way(first)
     shared.command(KEYS.pause)
@@ -30,7 +30,7 @@ def test_a_paused_goal_gives_way_to_one_that_starts_where_the_robot_rests(shared
 
 
 @pytest.mark.slow  # as whoever gives a name twice, in test_goals.py
-def test_a_goal_cannot_preempt_under_the_name_of_the_one_that_runs(shared: Client) -> None:
+def test_a_goal_cannot_preempt_itself(shared: Client) -> None:
     running = shared.execute(FAR, goal_id="mine")
     shared.under_way(running)
     with pytest.raises(InvalidRequest) as refusal:
@@ -41,7 +41,7 @@ def test_a_goal_cannot_preempt_under_the_name_of_the_one_that_runs(shared: Clien
     assert shared.statuses(running) == ["accepted", "running", "succeeded"]
 
 
-def test_a_motion_that_does_not_start_where_the_robot_comes_to_rest_is_refused_after_it_has_been_cleared(
+def test_a_preempting_motion_must_start_where_the_robot_stops(
     shared: Client,
 ) -> None:
     first = shared.execute(FAR)
@@ -56,7 +56,7 @@ def test_a_motion_that_does_not_start_where_the_robot_comes_to_rest_is_refused_a
 
 
 @pytest.mark.slow
-def test_a_motion_outside_the_limits_leaves_the_running_goal_alone(shared: Client) -> None:
+def test_a_motion_outside_the_limits_does_not_preempt(shared: Client) -> None:
     first = shared.execute(FAR)
     shared.under_way(first)
     with pytest.raises(ExecutionRefused) as refusal:

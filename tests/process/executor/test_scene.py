@@ -56,9 +56,7 @@ def executor_of(bench: Bench, bus: Bus, folder: Path, scene: Callable[[], SceneE
     )
 
 
-def test_a_goal_that_preempts_is_refused_where_the_scene_was_edited_while_the_other_one_came_to_rest(
-    bus: Bus, tmp_path: Path
-) -> None:
+def test_a_preempting_goal_is_refused_after_a_scene_edit(bus: Bus, tmp_path: Path) -> None:
     answers = iter((SCENE, "2-0123456789ab"))
     bench = Bench(now=float("inf"))  # fresh, though nobody ticks
     executor = executor_of(bench, bus, tmp_path, lambda: SceneEdited(revision=next(answers), count=0))
@@ -69,7 +67,7 @@ def test_a_goal_that_preempts_is_refused_where_the_scene_was_edited_while_the_ot
     assert bench.machine.state().mode == "idle"
 
 
-def test_a_pause_that_comes_while_a_resume_looks_at_the_scene_wins(bus: Bus, tmp_path: Path) -> None:
+def test_a_pause_wins_over_a_resume_that_checks_the_scene(bus: Bus, tmp_path: Path) -> None:
     def look() -> SceneEdited:
         executor.pause(Nothing(), arrival())
         return SceneEdited(revision=SCENE, count=0)

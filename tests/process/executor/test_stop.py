@@ -26,7 +26,7 @@ from zarm_runtime.metrics import Metrics
 from zarm_runtime.state_file import StateFile
 
 
-def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus: Bus, tmp_path: Path) -> None:
+def test_a_stop_withdraws_what_is_being_checked(bus: Bus, tmp_path: Path) -> None:
     asked, go_on = threading.Event(), threading.Event()
 
     def newest() -> Plan:

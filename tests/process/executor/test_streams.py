@@ -77,9 +77,7 @@ def test_the_example_of_a_client_is_followed_to_its_end(client: Client, endpoint
     assert client.stands()
 
 
-def test_a_held_stream_goes_on_only_when_a_chunk_has_come_since_the_scene_was_edited(
-    client: Client, endpoint: str
-) -> None:
+def test_a_held_stream_resumes_with_a_chunk_after_the_scene_edit(client: Client, endpoint: str) -> None:
     scene, edits = client.bus.latched(KEYS.scene_revision), itertools.count(2)
     scene.set(SceneEdited(revision=SCENE, count=0))
     process = run_example(endpoint, 60.0)
@@ -108,7 +106,7 @@ def test_a_held_stream_goes_on_only_when_a_chunk_has_come_since_the_scene_was_ed
 
 
 @pytest.mark.slow  # as when it dies
-def test_a_client_that_is_frozen_leaves_a_robot_at_rest_that_is_idle(client: Client, endpoint: str) -> None:
+def test_a_frozen_client_leaves_the_robot_idle(client: Client, endpoint: str) -> None:
     process = run_example(endpoint, 60.0)
     try:
         eventually(lambda: client.state().mode == "running", "the stream runs")
@@ -150,7 +148,7 @@ def test_example_is_short() -> None:
     ],
     ids=["starts elsewhere", "too fast", "starts late", "out of reach", "out of order, and no more"],
 )
-def test_what_becomes_of_a_stream_is_told_under_its_goal_and_is_no_fault(
+def test_the_outcome_of_a_stream_is_in_its_goal_and_no_fault(
     shared: Client, chunks: list[tuple[int, float, TimedTrajectory]], code: str
 ) -> None:
     send, goal_id = sender(shared), f"stream-{uuid.uuid4().hex}"
@@ -164,9 +162,7 @@ def test_what_becomes_of_a_stream_is_told_under_its_goal_and_is_no_fault(
 
 
 @pytest.mark.slow  # as in unit/executor/test_streams.py
-def test_a_stream_beside_another_goal_is_refused_and_does_not_touch_it(
-    client: Client, send: Callable[..., None]
-) -> None:
+def test_a_stream_beside_another_goal_is_refused(client: Client, send: Callable[..., None]) -> None:
     goal_id = client.execute(rest_to_rest(moved(1.0)))
     client.under_way(goal_id, 0.1)
     send("stream-b", 1)
@@ -191,7 +187,7 @@ def test_noise_and_chunks_of_unknown_streams_do_no_harm(
 
 
 @pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_pose"))
-def test_a_robot_behind_a_driver_follows_and_rests_when_the_client_dies(
+def test_a_driver_follows_a_stream_and_outlives_its_client(
     bus: Bus, endpoint: str, tmp_path: Path, strategy: str
 ) -> None:
     plays = ("--plays", "position") if strategy == "joint_pose" else ()
@@ -209,7 +205,7 @@ def test_a_robot_behind_a_driver_follows_and_rests_when_the_client_dies(
             assert robot.commanded_acceleration() <= LIMIT * 1.01
 
 
-def test_a_strategy_that_hands_motions_over_as_a_whole_takes_no_stream(bus: Bus, endpoint: str, tmp_path: Path) -> None:
+def test_joint_trajectory_takes_no_stream(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     with driven(bus, endpoint, tmp_path, "joint_trajectory") as robot:
         process = run_example(endpoint, 5.0)
         assert process.wait(PATIENCE) == 1

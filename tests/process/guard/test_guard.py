@@ -18,7 +18,7 @@ from zarm_contract.errors import Unavailable
 from zarm_contract.messages import ObjectPose, Sphere
 
 
-def test_a_robot_rests_before_what_is_put_in_its_way_says_what_it_is_and_goes_on_when_it_is_taken_away(
+def test_the_guard_stops_before_an_obstacle_and_resumes(
     cell: Cell,
 ) -> None:
     goal = cell.way()
@@ -41,7 +41,7 @@ def test_a_robot_rests_before_what_is_put_in_its_way_says_what_it_is_and_goes_on
 
 
 @pytest.mark.slow  # held it is above; that it is given up is in unit/executor/test_guard.py
-def test_a_goal_whose_way_stays_blocked_is_given_up_with_the_name_of_what_blocks_it(cell: Cell) -> None:
+def test_a_goal_blocked_for_long_is_aborted_with_the_obstacle(cell: Cell) -> None:
     goal = cell.way()
     load(cell.bus, POST)
     ended = cell.client.ended(goal)
@@ -54,7 +54,7 @@ def test_a_goal_whose_way_stays_blocked_is_given_up_with_the_name_of_what_blocks
 
 
 @pytest.mark.slow  # as in unit/executor/test_guard.py
-def test_where_contact_cannot_be_avoided_any_more_the_robot_brakes_all_the_same_and_says_so(cell: Cell) -> None:
+def test_an_unavoidable_contact_is_braked_for_and_reported(cell: Cell) -> None:
     goal = cell.way(speed=1.0)
     cell.client.under_way(goal, 0.4)
     x, y, z = link_pose(ROBOT, ROBOT.descriptor.tip_link, cell.client.position())[:3, 3].tolist()
@@ -67,7 +67,7 @@ def test_where_contact_cannot_be_avoided_any_more_the_robot_brakes_all_the_same_
 
 
 @pytest.mark.slow
-def test_a_goal_that_is_resumed_under_a_blocked_way_waits_until_it_is_free(cell: Cell) -> None:
+def test_a_goal_resumed_under_a_blocked_path_waits(cell: Cell) -> None:
     goal = cell.way()
     cell.client.command(KEYS.pause)
     cell.client.mode("paused")
@@ -81,7 +81,7 @@ def test_a_goal_that_is_resumed_under_a_blocked_way_waits_until_it_is_free(cell:
 
 
 @pytest.mark.slow  # as in unit/servo/test_check.py and test_moving_objects.py
-def test_a_robot_rests_before_what_moves_into_its_way_and_goes_on_when_that_has_moved_on(cell: Cell) -> None:
+def test_the_guard_stops_for_a_moving_object_and_resumes(cell: Cell) -> None:
     away = POST.model_copy(update={"position": (-1.5, 0.0, 0.4)})
     goal = cell.way(away)
     poses = cell.bus.publisher(KEYS.object_pose("post"))
@@ -117,7 +117,7 @@ def test_a_robot_rests_before_what_moves_into_its_way_and_goes_on_when_that_has_
 
 
 @pytest.mark.slow  # most tests of the executor have no servo
-def test_without_its_servo_a_robot_that_needs_none_moves_on_and_says_that_it_is_unguarded(cell: Cell) -> None:
+def test_without_a_servo_a_robot_moves_on_as_unguarded(cell: Cell) -> None:
     goal = cell.way(speed=0.15)
     cell.services["servo"].kill()
     eventually(lambda: not cell.client.state().guarded, "the robot is unguarded")

@@ -54,7 +54,7 @@ def scene(cell: Cell) -> Scene:
     return cell.bus.read(KEYS.scene, timeout=PATIENCE)
 
 
-def test_program_runs_as_one_goal_and_changes_the_scene_where_the_robot_gets_there(cell: Cell) -> None:
+def test_a_program_is_one_goal_and_edits_the_scene_on_its_way(cell: Cell) -> None:
     part = Cuboid(kind="cuboid", name="part", position=at(0.0, 0.1, -0.2), size=(0.04, 0.04, 0.2))
     load(cell.bus, part)
     made = program(
@@ -117,7 +117,7 @@ def test_cancelled_program_changes_nothing_more(cell: Cell) -> None:
     assert scene(cell).attached == ()
 
 
-def test_line_is_not_left_where_something_is_put_in_its_way_even_if_replanning_is_asked_for(cell: Cell) -> None:
+def test_a_line_is_not_replanned(cell: Cell) -> None:
     request = PlanRequest(start=HOME, goal=LineGoal(kind="line", position=at(0.0, 0.3, 0.0), speed=0.1))
     made = cell.bus.call(KEYS.plan, request, timeout=PATIENCE)
     goal = cell.client.execute(plan_id=made.plan_id, replan=True)

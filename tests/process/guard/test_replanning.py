@@ -18,7 +18,7 @@ MODEL = RobotModel.of(ROBOT)
 TURNED = 0.9, -0.2, 1.6, 0.0, 1.4, 0.5
 
 
-def test_a_robot_goes_round_what_is_put_in_its_way_without_stopping(cell: Cell) -> None:
+def test_replanning_avoids_a_new_obstacle_without_a_stop(cell: Cell) -> None:
     goal = cell.way(replan=True)
     load(cell.bus, POST)
     assert cell.client.ended(goal).status == "succeeded"
@@ -32,7 +32,7 @@ def test_a_robot_goes_round_what_is_put_in_its_way_without_stopping(cell: Cell) 
 
 
 @pytest.mark.slow  # as in unit/servo/test_replanning.py
-def test_a_glass_that_is_carried_upright_stays_so_round_what_is_put_in_its_way(cell: Cell) -> None:
+def test_replanning_keeps_a_carried_glass_upright(cell: Cell) -> None:
     upright = PathConstraint(axes=(True, True, False, False, False, False))
     goal = cell.way(replan=True, path_constraint=upright)
     load(cell.bus, POST)
@@ -47,7 +47,7 @@ def test_a_glass_that_is_carried_upright_stays_so_round_what_is_put_in_its_way(c
 
 
 @pytest.mark.slow  # as in unit/servo/test_replanning.py
-def test_a_pose_is_reached_with_other_joints_where_something_stands_at_those_of_the_plan(cell: Cell) -> None:
+def test_replanning_reaches_a_pose_with_other_joints(cell: Cell) -> None:
     tip = pose_of(MODEL.fk_tip(np.array(TURNED)))
     made = plan(
         cell.bus,

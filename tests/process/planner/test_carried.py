@@ -84,7 +84,7 @@ def hits(plan: Plan, now: Scene) -> bool:
     return any(collisions.at(path.at(t)[0]) for t in np.linspace(0.0, path.duration, int(path.duration / 0.004) + 2))
 
 
-def test_a_motion_leads_around_what_only_the_carried_object_would_hit(planner: Bus) -> None:
+def test_a_carried_object_is_led_around_obstacles(planner: Bus) -> None:
     begin(planner, POLE, wall())
     edited = attach(planner, "pole")
     loaded = scene(planner)
@@ -98,7 +98,7 @@ def test_a_motion_leads_around_what_only_the_carried_object_would_hit(planner: B
     assert hits(bare, loaded)
 
 
-def test_the_robot_without_its_links_moves_through_what_they_would_hit(planner: Bus) -> None:
+def test_disabled_links_are_not_checked(planner: Bus) -> None:
     begin(planner, POLE.model_copy(update={"radius": 0.1}))
     with pytest.raises(PlanningFailed, match="start is in collision"):
         swing(planner)
@@ -110,7 +110,7 @@ def test_the_robot_without_its_links_moves_through_what_they_would_hit(planner: 
     assert not hits(swing(planner), scene(planner))
 
 
-def test_a_goal_that_the_carried_object_would_hit_is_refused_with_its_name(planner: Bus) -> None:
+def test_a_goal_in_collision_with_the_carried_object_names_it(planner: Bus) -> None:
     begin(planner, POLE, wall())
     attach(planner, "pole")
     with pytest.raises(PlanningFailed, match=r"pole is \d+\.\d mm inside wall") as refused:
@@ -121,7 +121,7 @@ def test_a_goal_that_the_carried_object_would_hit_is_refused_with_its_name(plann
     assert planner.call(KEYS.ik, request, timeout=PATIENCE).solutions == ((),)
 
 
-def test_objects_are_attached_and_detached_where_the_robot_is_measured(planner: Bus) -> None:
+def test_attach_and_detach_use_the_measured_joints(planner: Bus) -> None:
     begin(planner, POLE)
     attached, detached = AttachObject(op="attach", name="pole"), DetachObject(op="detach", name="pole")
     with pytest.raises(ExecutionRefused) as refused:
@@ -151,7 +151,7 @@ def test_objects_are_attached_and_detached_where_the_robot_is_measured(planner: 
     np.testing.assert_allclose(pole.position, (turned @ [*POLE.position, 1.0])[:3], atol=1e-9)
 
 
-def test_a_carried_object_is_no_object_of_the_scene_until_it_is_put_down(planner: Bus) -> None:
+def test_a_carried_object_leaves_the_scene_until_detached(planner: Bus) -> None:
     begin(planner, POLE)
     seen: list[Scene] = []
     planner.watch(KEYS.scene, lambda _, message: seen.append(message))

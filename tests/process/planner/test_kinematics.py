@@ -32,9 +32,7 @@ def libraries(process: ServiceProcess) -> str:
 
 
 @pytest.mark.slow
-def test_torch_is_loaded_by_the_first_request_for_it_and_answers_as_the_kernels_do(
-    planner: ServiceProcess, bus: Bus
-) -> None:
+def test_torch_is_loaded_on_demand_and_agrees_with_the_kernels(planner: ServiceProcess, bus: Bus) -> None:
     rng = np.random.default_rng(0)
     joints = tuple(map(tuple, rng.uniform(-3.0, 3.0, (20, 6)).tolist()))
 

@@ -127,7 +127,7 @@ def test_a_cancel_that_comes_before_its_request_ends_it(planner: Bus) -> None:
     assert [type(answer) for answer in answers] == [Cancelled]
 
 
-def test_requests_that_wait_for_their_turn_can_be_cancelled_and_too_many_are_refused(planner: Bus) -> None:
+def test_waiting_requests_can_be_cancelled_and_are_bounded(planner: Bus) -> None:
     load(planner, *FENCE)
     answers: list[ZarmError] = []
     threads = [endless(planner, f"queued-{i}", answers) for i in range((os.cpu_count() or 1) + 20)]
@@ -141,7 +141,7 @@ def test_requests_that_wait_for_their_turn_can_be_cancelled_and_too_many_are_ref
     assert {type(answer) for answer in answers} == {Busy, Cancelled}
 
 
-def test_plans_are_published_and_the_last_one_is_there_for_late_comers(planner: Bus, place: str) -> None:
+def test_plans_are_published_and_the_last_one_is_latched(planner: Bus, place: str) -> None:
     load(planner)
     answer = plan(planner, PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST)))
     with Bus(place) as late:
@@ -152,9 +152,7 @@ def test_plans_are_published_and_the_last_one_is_there_for_late_comers(planner: 
         assert eventually(lambda: seen[1:], "the next plan arrives") == [second]
 
 
-def test_the_scene_is_published_with_every_edit_whole_and_object_by_object(
-    planner: Bus, foreign: zenoh.Session
-) -> None:
+def test_the_scene_is_published_whole_and_by_object(planner: Bus, foreign: zenoh.Session) -> None:
     first = load(planner, TABLE, POST)
     scenes: list[Scene] = []
     planner.watch(KEYS.scene, lambda _, message: scenes.append(message))
@@ -178,7 +176,7 @@ def test_the_scene_is_published_with_every_edit_whole_and_object_by_object(
     assert list(foreign.get(KEYS.scene_object("*"), timeout=PATIENCE)) == []
 
 
-def test_a_plan_is_made_in_the_scene_of_the_revision_that_it_states(planner: Bus) -> None:
+def test_a_plan_states_the_scene_revision_it_was_made_in(planner: Bus) -> None:
     request = PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST))
     without = load(planner)
     assert plan(planner, request).scene_revision == without.revision
@@ -199,7 +197,7 @@ def test_the_scene_survives_a_crash(endpoint: str, bus: Bus, tmp_path: Path) -> 
         assert scene == Scene(revision=edited.revision, objects=(TABLE, POST))
 
 
-def test_a_scene_that_cannot_be_read_stops_planning_until_it_is_edited(endpoint: str, bus: Bus, tmp_path: Path) -> None:
+def test_an_unreadable_scene_stops_planning_until_edited(endpoint: str, bus: Bus, tmp_path: Path) -> None:
     folder = tmp_path / "doosan_m1013"
     folder.mkdir()
     (folder / "scene.json").write_text("no scene")
@@ -213,9 +211,7 @@ def test_a_scene_that_cannot_be_read_stops_planning_until_it_is_edited(endpoint:
         assert "scene" in process.output()
 
 
-def test_a_second_planner_of_one_robot_is_refused_and_one_of_another_name_is_not(
-    planner: Bus, place: str, tmp_path: Path
-) -> None:
+def test_a_second_planner_of_one_robot_is_refused(planner: Bus, place: str, tmp_path: Path) -> None:
     with ServiceProcess("planner", place, tmp_path) as second:
         assert second.process.wait(PATIENCE) == 1
         assert "already on this bus" in second.output()
@@ -225,9 +221,7 @@ def test_a_second_planner_of_one_robot_is_refused_and_one_of_another_name_is_not
         assert planner.call(Keys("twin").plan, request, timeout=PATIENCE).robot == "twin"
 
 
-def test_health_answers_while_kernels_are_compiled_and_plans_are_refused_with_the_reason(
-    endpoint: str, bus: Bus, tmp_path: Path
-) -> None:
+def test_while_kernels_compile_health_answers_and_plans_wait(endpoint: str, bus: Bus, tmp_path: Path) -> None:
     with ServiceProcess("planner", endpoint, tmp_path, environment=nothing_compiled(tmp_path)) as process:
 
         def busy() -> Health | None:

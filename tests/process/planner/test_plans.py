@@ -61,7 +61,7 @@ def test_a_pose_goal_is_reached_to_a_tenth_of_a_millimetre(planner: Bus) -> None
     assert np.allclose(answer.tip.position, goal.position, atol=1e-4)
 
 
-def test_the_same_request_gives_the_same_motion_and_another_seed_a_motion_too(planner: Bus) -> None:
+def test_the_same_request_gives_the_same_motion(planner: Bus) -> None:
     load(planner, TABLE, POST, SHELF)
     request = PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST), optimize_s=0.0, seed=7)
     first, again = plan(planner, request), plan(planner, request)
@@ -82,7 +82,7 @@ def test_scales_make_the_motion_slower(planner: Bus) -> None:
     assert slow.trajectory.duration > 1.9 * full.trajectory.duration
 
 
-def test_a_robot_that_is_there_already_gets_a_motion_that_stands_still(planner: Bus) -> None:
+def test_a_robot_at_its_goal_gets_a_motion_that_stands_still(planner: Bus) -> None:
     load(planner)
     answer = plan(planner, PlanRequest(start=HOME, goal=to_joints(*HOME)))
     assert set(answer.trajectory.position) == {HOME}
@@ -109,7 +109,7 @@ def test_a_robot_close_to_a_surface_can_leave_it(planner: Bus) -> None:
     assert_sound(answer, low, (just_below,))
 
 
-def test_the_measured_state_is_the_start_unless_the_request_has_one(planner: Bus) -> None:
+def test_the_measured_state_is_the_default_start(planner: Bus) -> None:
     load(planner)
     with pytest.raises(ExecutionRefused) as caught:
         plan(planner, PlanRequest(goal=to_joints(*HOME)))
@@ -183,13 +183,13 @@ def test_time_to_optimise_is_spent_and_gives_no_slower_motion(planner: Bus) -> N
     assert better.trajectory.duration <= quick.trajectory.duration
 
 
-def test_a_goal_of_another_kind_than_the_planner_takes_is_refused(planner: Bus) -> None:
+def test_a_goal_of_a_kind_the_planner_lacks_is_refused(planner: Bus) -> None:
     with pytest.raises(InvalidRequest, match="joint_space") as refused:
         plan(planner, PlanRequest(start=HOME, goal=to_joints(*HOME), planner="classic"))
     assert refused.value.problem.field == "planner"
 
 
-def test_a_search_is_given_up_after_the_attempts_that_it_was_allowed(planner: Bus) -> None:
+def test_a_search_ends_after_max_attempts(planner: Bus) -> None:
     load(planner, *FENCE)
     with pytest.raises(PlanningFailed, match=r"max_attempts, 1\b") as given_up:
         plan(planner, PlanRequest(start=HOME, goal=to_joints(*BEHIND_FENCE), max_attempts=1, timeout=60.0))

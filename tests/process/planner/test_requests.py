@@ -135,7 +135,7 @@ def test_noise_is_an_invalid_request_on_every_key(planner: Bus, foreign: zenoh.S
     assert is_alive(planner)
 
 
-def test_inverse_kinematics_bring_the_tip_where_it_was_asked_to_be(planner: Bus) -> None:
+def test_inverse_kinematics_reach_the_requested_pose(planner: Bus) -> None:
     load(planner)
     poses = planner.call(KEYS.fk, FkRequest(joints=(HOME, BEHIND_POST)), timeout=PATIENCE).poses
     for q, pose in zip((HOME, BEHIND_POST), poses, strict=True):

@@ -85,7 +85,7 @@ def ended(process: ServiceProcess, before: str) -> int:
     return process.output().removeprefix(before).count("code=cancelled")
 
 
-def test_searches_without_end_keep_no_other_client_waiting_and_end_with_who_asked(
+def test_endless_searches_starve_nobody_and_can_be_ended(
     process: ServiceProcess, modest: Bus, place: str, tmp_path: Path
 ) -> None:
     load(modest, *FENCE)

@@ -39,7 +39,7 @@ def near(*shift: float) -> tuple[float, float, float]:
     return x, y, z
 
 
-def test_position_alone_is_a_goal_and_the_answer_says_what_was_chosen(planner: Bus) -> None:
+def test_position_alone_is_a_goal_and_the_choice_is_reported(planner: Bus) -> None:
     load(planner)
     goal = PoseGoal(kind="pose", position=near(0.1, 0.2, -0.1), tolerance=POSITION_ONLY)
     answer = plan(planner, PlanRequest(start=HOME, goal=goal))

@@ -40,7 +40,7 @@ def test_ctrl_c_ends_the_compilation_without_a_traceback(tmp_path: Path) -> None
     assert errors == ""
 
 
-def test_after_the_warm_up_of_one_robot_no_plan_of_any_robot_waits_for_a_compiler() -> None:
+def test_after_warm_up_no_plan_waits_for_a_compiler() -> None:
     script = PROGRAMS / "warm_kernels.py"
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
     assert done.stdout == ""

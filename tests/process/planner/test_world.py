@@ -127,7 +127,7 @@ def test_the_cells_that_objects_of_any_kind_reach_into_are_told(empty: Bus) -> N
     assert raised.value.problem.field == "resolution"
 
 
-def test_a_configuration_that_touches_a_mesh_is_found_with_pair_and_depth(empty: Bus) -> None:
+def test_collision_with_a_mesh_is_found_with_pair_and_depth(empty: Bus) -> None:
     add(empty, MESH)
     touching = next(q for q in np.linspace(HOME, BEHIND_POST, 100) if Collisions(ROBOT, (POST,)).at(q))
     request = CheckRequest(joints=(HOME, tuple(touching.tolist())))
@@ -140,7 +140,7 @@ def test_a_configuration_that_touches_a_mesh_is_found_with_pair_and_depth(empty:
     assert hit.pair[1] == "post"
 
 
-def test_a_hundred_thousand_points_are_kept_as_voxels_and_planned_around(empty: Bus) -> None:
+def test_a_hundred_thousand_points_become_voxels_to_plan_around(empty: Bus) -> None:
     points = cloud_of_the_post(100_000)
     add(empty, PointCloud(kind="cloud", name="seen", resolution=0.02, points=points))
     (kept,) = empty.read(KEYS.scene, timeout=PATIENCE).objects
@@ -172,9 +172,7 @@ def test_a_mesh_that_is_not_in_the_folders_is_refused_by_field(empty: Bus, file:
     assert caught.value.problem.field == "edit.objects.0.file"
 
 
-def test_no_plan_is_made_while_the_file_of_a_mesh_is_missing_after_a_restart(
-    endpoint: str, bus: Bus, tmp_path: Path
-) -> None:
+def test_no_plan_is_made_while_a_mesh_file_is_missing(endpoint: str, bus: Bus, tmp_path: Path) -> None:
     (tmp_path / "posts").mkdir()
     path = tmp_path / "posts" / "post.stl"
     trimesh.creation.cylinder(39.1, 900.0, sections=64).export(path)
@@ -197,7 +195,7 @@ def test_no_plan_is_made_while_the_file_of_a_mesh_is_missing_after_a_restart(
         assert_around_the_post(plan_behind_the_post(bus))
 
 
-def test_the_command_line_adds_lists_saves_and_loads_meshes_and_voxels(empty: Bus, place: str, tmp_path: Path) -> None:
+def test_the_command_line_edits_meshes_and_voxels(empty: Bus, place: str, tmp_path: Path) -> None:
     def done(*arguments: str) -> str:
         result = zarm("scene", *arguments, ZARM_CONNECT=place)
         assert result.returncode == 0, result.stderr

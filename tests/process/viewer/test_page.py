@@ -138,7 +138,7 @@ def test_the_robot_is_drawn_where_the_bus_says_that_it_is(page: Page, cell: Cell
     expect(page.get_by_text("idle").first).to_be_visible()
 
 
-def test_dragging_the_handle_shows_a_ghost_and_the_robot_goes_there(page: Page, cell: Cell) -> None:
+def test_dragging_the_handle_previews_and_executes(page: Page, cell: Cell) -> None:
     tip = cell.robot.tip().position
     drag(page, cell.pixel((tip[0], tip[1], tip[2] - 0.12)), 32)  # by the arrow of the tip's z, which looks down
     expect(page.get_by_text("reachable, free")).to_be_visible()
@@ -156,7 +156,7 @@ def test_the_numbers_are_those_of_the_robot_until_somebody_aims(page: Page, cell
 
 
 @pytest.mark.slow  # the planner refuses it on the bus, in process/planner
-def test_a_goal_in_collision_is_said_to_be_and_nothing_is_executed_that_was_not_planned(page: Page, cell: Cell) -> None:
+def test_a_goal_in_collision_is_shown_and_not_executed(page: Page, cell: Cell) -> None:
     cell.robot.execute(cell.robot.plan(moved(1.0)))
     x, y, z = Chain(ROBOT).tip(np.array(HOME)).translation()
     cell.robot.scene.add(zarm.Cuboid("in_the_way", size=(0.1, 0.1, 0.1), position=(x, y, z)))
@@ -341,9 +341,7 @@ def test_save_and_download_save_at_once(page: Page, cell: Cell) -> None:
     assert record.value.path().read_bytes() == b"a record"
 
 
-def test_on_a_tablet_the_robot_has_room_in_the_view_beside_the_panels(
-    page: Page, chromium: Browser, address: str
-) -> None:
+def test_on_a_tablet_the_view_leaves_room_for_the_robot(page: Page, chromium: Browser, address: str) -> None:
     tablet = opened(chromium, address, TABLET)
     eventually(lambda: 0.0 < drawn_width(tablet) < 0.7, "the robot is in view, and does not fill it")
     tablet.close()
@@ -367,7 +365,7 @@ def test_a_plan_is_looked_through_before_anything_moves(page: Page, cell: Cell) 
 
 
 @pytest.mark.slow  # the stop by itself is the next test
-def test_stop_works_while_planner_and_servo_stand_still_and_the_page_waits_for_them(page: Page, cell: Cell) -> None:
+def test_stop_works_while_planner_and_servo_hang(page: Page, cell: Cell) -> None:
     goal = cell.robot.start(cell.robot.plan(moved(1.5), velocity_scale=0.01))
     eventually(lambda: cell.robot.state().mode == "running", "it moves")
     aim_home(page)
@@ -395,7 +393,7 @@ def test_stop_brings_the_robot_to_rest_before_its_goal(page: Page, cell: Cell) -
     eventually(cell.rests, "it rests")
 
 
-def test_an_object_added_on_one_page_is_on_the_bus_and_on_the_other_page(page: Page, cell: Cell, second: Page) -> None:
+def test_an_object_added_on_one_page_appears_on_the_other(page: Page, cell: Cell, second: Page) -> None:
     for each in (page, second):
         each.get_by_role("tab", name="Scene").click()
     page.get_by_role("button", name="Add", exact=True).click()
@@ -430,7 +428,7 @@ def test_a_camera_is_drawn_where_it_is_with_its_newest_image(page: Page, cell: C
     eventually(lambda: not drawn(page, "robot/camera_front"), "the camera has gone")
 
 
-def test_on_a_phone_the_stop_is_in_reach_wherever_the_page_is_scrolled_to(page: Page, second: Page) -> None:
+def test_on_a_phone_stop_is_always_in_reach(page: Page, second: Page) -> None:
     second.set_viewport_size({"width": PHONE[0], "height": PHONE[1]})
     stop = second.get_by_role("button", name="STOP").first
     second.mouse.move(PHONE[0] / 2, 0.8 * PHONE[1])
@@ -440,7 +438,7 @@ def test_on_a_phone_the_stop_is_in_reach_wherever_the_page_is_scrolled_to(page: 
     second.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
 
 
-def test_who_jogs_has_the_robot_and_it_rests_when_their_page_is_lost(
+def test_jogging_is_exclusive_and_ends_with_its_page(
     page: Page, cell: Cell, chromium: Browser, address: str, second: Page
 ) -> None:
     for each in (page, second):
@@ -463,9 +461,7 @@ def test_who_jogs_has_the_robot_and_it_rests_when_their_page_is_lost(
 
 
 @pytest.mark.slow  # as when the page is lost
-def test_jogging_ends_and_a_goal_goes_on_while_the_tabs_are_frozen(
-    page: Page, cell: Cell, chromium: Browser, address: str
-) -> None:
+def test_frozen_tabs_end_jogging_and_not_goals(page: Page, cell: Cell, chromium: Browser, address: str) -> None:
     jogging = opened(chromium, address)
     jogging.get_by_role("tab", name="Jog").click()
     start = cell.robot.tip().position
@@ -489,9 +485,7 @@ def test_jogging_ends_and_a_goal_goes_on_while_the_tabs_are_frozen(
 
 
 @pytest.mark.slow  # as when the page is lost
-def test_jogging_ends_and_a_goal_goes_on_while_the_viewer_stands_still_and_when_it_is_killed(
-    page: Page, cell: Cell, chromium: Browser
-) -> None:
+def test_a_hanging_viewer_ends_jogging_and_not_goals(page: Page, cell: Cell, chromium: Browser) -> None:
     address, viewer = cell.serve(), cell.viewer
     jogging = opened(chromium, address)
     jogging.get_by_role("tab", name="Jog").click()

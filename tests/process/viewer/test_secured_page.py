@@ -87,9 +87,7 @@ def test_pages_from_elsewhere_cannot_speak_to_it(address: str, tls: ssl.SSLConte
 
 
 @pytest.mark.slow
-def test_what_a_viewer_may_not_do_the_router_refuses_and_stop_it_may(
-    address: str, cell: Cell, chromium: Browser
-) -> None:
+def test_a_viewer_may_stop_and_nothing_else(address: str, cell: Cell, chromium: Browser) -> None:
     page = opened(chromium, address)
     page.wait_for_function("() => Object.keys(window.__viserMutable?.nodeRefFromName ?? {}).length > 0")
     goal = cell.robot.start(rest_to_rest(moved(1.0), slower=40.0))

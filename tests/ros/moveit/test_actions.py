@@ -92,7 +92,7 @@ def test_a_plan_is_refused_once_the_scene_has_changed(arm: Stack, robot: Robot) 
     assert robot.joint_state().position == pytest.approx(HOME)
 
 
-def test_a_trajectory_that_a_client_has_changed_is_checked_and_executed(arm: Stack, robot: Robot) -> None:
+def test_a_trajectory_changed_by_a_client_is_checked(arm: Stack, robot: Robot) -> None:
     trajectory = planned(arm.ros, request(joints(JOINTS[:1], [HOME[0] + 0.3]))).trajectory
     points = trajectory.joint_trajectory.points
     for point in points:

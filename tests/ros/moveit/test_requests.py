@@ -140,7 +140,7 @@ def test_joints_that_are_not_constrained_keep_their_position(arm: Stack, robot: 
     assert end == pytest.approx([0.3, *HOME[1:]], abs=1e-6)
 
 
-def test_a_position_outside_the_range_is_moved_to_its_edge_within_the_tolerance(arm: Stack, robot: Robot) -> None:
+def test_a_position_outside_the_range_is_moved_to_its_edge(arm: Stack, robot: Robot) -> None:
     beyond = UPPER[5] + 0.01
     end = end_of(planned(arm.ros, request(joints(JOINTS[5:], [beyond], tolerance=0.05))))
     assert UPPER[5] - 0.04 - 1e-6 <= end[5] <= UPPER[5] + 1e-6
@@ -268,7 +268,7 @@ def test_path_constraints_hold_on_the_whole_way(arm: Stack, robot: Robot) -> Non
     assert goal.error_code.val == E.GOAL_VIOLATES_PATH_CONSTRAINTS
 
 
-def test_a_goal_with_freedom_is_reached_within_the_path_constraints(arm: Stack, robot: Robot) -> None:
+def test_a_goal_with_freedom_keeps_path_constraints(arm: Stack, robot: Robot) -> None:
     start = end_of(planned(arm.ros, request(pose(AT))))
     upright = Constraints(orientation_constraints=[orientation(DOWN, tolerance=(0.1, 0.1, 3.15))])
     to = Constraints(position_constraints=[position((AT[0] - 0.1, AT[1] - 0.5, AT[2]))])
@@ -364,7 +364,7 @@ def test_poses_in_frames_of_tf_are_looked_up(arm: Stack, robot: Robot) -> None:
     arm.ros.node.destroy_publisher(publisher)
 
 
-def test_poses_in_the_frame_of_a_link_and_of_an_object_are_looked_up(arm: Stack, robot: Robot) -> None:
+def test_poses_in_frames_of_links_and_objects_are_looked_up(arm: Stack, robot: Robot) -> None:
     (home,) = robot.fk([HOME])
     response = planned(arm.ros, request(pose((0.0, 0.0, 0.05), q=(0.0, 0.0, 0.0, 1.0), frame="link_6")))
     (tip,) = robot.fk([end_of(response)])

@@ -151,7 +151,7 @@ def test_edits_that_come_quickly_are_applied_in_their_order(arm: Stack, robot: R
     arm.ros.node.destroy_publisher(publisher)
 
 
-def test_what_zarm_adds_is_in_the_planning_scene_and_changes_are_published(arm: Stack, robot: Robot) -> None:
+def test_zarm_s_objects_are_in_the_planning_scene(arm: Stack, robot: Robot) -> None:
     heard = arm.ros.heard(PlanningScene, "/monitored_planning_scene", QoSProfile(depth=10))
     robot.scene.add(zarm.Capsule("pipe", radius=0.05, length=0.4, position=(0.8, 0.5, 0.3)))
     robot.scene.add(zarm.Cuboid("table", size=(0.5, 0.5, 0.02), position=(0.9, -0.5, 0.1)))
@@ -394,7 +394,7 @@ def test_octomap_of_a_client_is_in_the_scene_and_is_shown_as_one(arm: Stack, rob
     assert robot.scene.objects() == {}
 
 
-def test_octomap_with_probabilities_has_its_occupied_leaves_in_the_scene(arm: Stack, robot: Robot) -> None:
+def test_occupied_octomap_leaves_are_in_the_scene(arm: Stack, robot: Robot) -> None:
     assert applied(arm, world=PlanningSceneWorld(octomap=full_map(0.1)))
     assert sorted(map(tuple, np.round(centers_of(robot), 6).tolist())) == [
         (x, y, z) for x in (0.05, 0.15) for y in (0.05, 0.15) for z in (0.05, 0.15)
@@ -406,7 +406,7 @@ def test_octomap_with_probabilities_has_its_occupied_leaves_in_the_scene(arm: St
 
 
 @pytest.mark.parametrize("change", ["id", "cut", "large", "fine"])
-def test_octomap_that_cannot_be_taken_is_refused_and_changes_nothing(arm: Stack, robot: Robot, change: str) -> None:
+def test_an_invalid_octomap_is_refused_and_changes_nothing(arm: Stack, robot: Robot, change: str) -> None:
     message = full_map(0.1)
     if change == "id":
         message.octomap.id = "ColorOcTree"

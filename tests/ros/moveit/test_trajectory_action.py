@@ -145,9 +145,7 @@ def test_goals_own_tolerances_stop_the_robot_on_its_way(arm: Stack, controller: 
         robot.speed(1.0)
 
 
-def test_joint_that_leaves_the_goals_path_tolerance_stops_the_robot(
-    arm: Stack, controller: ActionClient, robot: Robot
-) -> None:
+def test_leaving_the_path_tolerance_stops_the_robot(arm: Stack, controller: ActionClient, robot: Robot) -> None:
     tolerances = [JointTolerance(name="joint_1", position=1e-7)]
     sent = Sent(arm.ros.node, controller, goal((2.0, THERE), path_tolerance=tolerances))
     status, result = sent.ended()
@@ -168,7 +166,7 @@ def test_tolerance_of_an_unknown_joint_is_refused_by_name(arm: Stack, controller
     assert np.allclose(robot.joint_state().position, HOME, atol=1e-3)
 
 
-def test_trajectory_on_the_topic_begins_at_its_stamp_unless_another_one_comes(arm: Stack, robot: Robot) -> None:
+def test_a_trajectory_on_the_topic_begins_at_its_stamp(arm: Stack, robot: Robot) -> None:
     node, begun = arm.ros.node, list[float]()
     publisher = node.create_publisher(JointTrajectory, "/zarm_controller/joint_trajectory", 1)
     arm.bus.subscribe(
@@ -188,7 +186,7 @@ def test_trajectory_on_the_topic_begins_at_its_stamp_unless_another_one_comes(ar
         destroyed(node, node.destroy_publisher, publisher)
 
 
-def test_topics_of_a_controller_move_the_robot_and_tell_how_it_follows(arm: Stack, robot: Robot) -> None:
+def test_controller_topics_move_the_robot_and_report_state(arm: Stack, robot: Robot) -> None:
     node, states = arm.ros.node, list[JointTrajectoryControllerState]()
     subscription = node.create_subscription(
         JointTrajectoryControllerState, "/zarm_controller/controller_state", states.append, 10

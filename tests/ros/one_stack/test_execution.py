@@ -65,7 +65,7 @@ def long_planned(running: Stack, robot: Robot) -> Iterator[list[float]]:
             yield list(BEHIND_FENCE)
 
 
-def test_an_empty_goal_runs_the_last_plan_and_tells_how_far_it_is(robot: Robot, actions: Actions) -> None:
+def test_an_empty_goal_runs_the_last_plan_with_progress(robot: Robot, actions: Actions) -> None:
     plan = robot.plan()
     goal = actions.send()
     status, result = goal.ended()
@@ -91,7 +91,7 @@ def test_a_goal_with_a_target_is_planned_and_then_executed(running: Stack, robot
     assert goal.feedback[-1].state == "EXECUTING"
 
 
-def test_a_cancelled_goal_ends_as_canceled_with_the_robot_at_rest(robot: Robot, actions: Actions) -> None:
+def test_a_cancelled_goal_ends_as_canceled_at_rest(robot: Robot, actions: Actions) -> None:
     plan = robot.plan()
     goal = actions.send()
     goal.under_way()
@@ -104,7 +104,7 @@ def test_a_cancelled_goal_ends_as_canceled_with_the_robot_at_rest(robot: Robot, 
     assert not np.allclose(robot.joints(), plan.trajectory.position[-1], atol=0.05)
 
 
-def test_a_goal_that_is_cancelled_while_it_is_planned_ends_as_canceled_at_once(
+def test_a_goal_cancelled_during_planning_ends_as_canceled(
     running: Stack, robot: Robot, actions: Actions, long_planned: list[float]
 ) -> None:
     for _ in range(4):
@@ -120,7 +120,7 @@ def test_a_goal_that_is_cancelled_while_it_is_planned_ends_as_canceled_at_once(
         assert robot.joints() == before
 
 
-def test_a_goal_that_somebody_else_cancels_ends_as_aborted_and_says_so(robot: Robot, actions: Actions) -> None:
+def test_a_goal_cancelled_by_another_client_ends_as_aborted(robot: Robot, actions: Actions) -> None:
     robot.plan()
     goal = actions.send()
     goal.under_way()
@@ -142,9 +142,7 @@ def test_a_goal_that_is_refused_says_why_as_on_the_bus(robot: Robot, actions: Ac
     assert (status, result.success, result.message) == (ABORTED, False, str(refusal.value))
 
 
-def test_an_edit_of_the_scene_under_a_goal_is_said_on_rosout_and_the_goal_goes_on(
-    running: Stack, robot: Robot, actions: Actions
-) -> None:
+def test_a_scene_edit_under_a_goal_is_logged_on_rosout(running: Stack, robot: Robot, actions: Actions) -> None:
     said: list[str] = []
     listener = running.ros.node.create_subscription(Log, "/rosout", lambda log: said.append(log.msg), 100)
     robot.plan()
@@ -212,7 +210,7 @@ def test_a_goal_beside_one_of_another_client_is_aborted_as_busy(robot: Robot, ac
 
 @pytest.mark.slow  # as in the next
 @pytest.mark.usefixtures("preempting")
-def test_a_second_goal_takes_the_place_of_the_first_where_that_is_configured(robot: Robot, actions: Actions) -> None:
+def test_with_preempt_a_second_goal_replaces_the_first(robot: Robot, actions: Actions) -> None:
     robot.plan()
     first = actions.send()
     first.under_way()
@@ -224,7 +222,7 @@ def test_a_second_goal_takes_the_place_of_the_first_where_that_is_configured(rob
 
 
 @pytest.mark.usefixtures("preempting")
-def test_a_preempting_goal_takes_the_place_of_another_clients_motion(robot: Robot, actions: Actions) -> None:
+def test_a_preempting_goal_replaces_another_client_s_motion(robot: Robot, actions: Actions) -> None:
     robot.plan()
     goal_id = robot.bus.call(KEYS.execute, ExecuteRequest(), timeout=10).goal_id
     assert actions.send(target_pose=TARGET).ended()[0] == SUCCEEDED
@@ -232,7 +230,7 @@ def test_a_preempting_goal_takes_the_place_of_another_clients_motion(robot: Robo
 
 
 @pytest.mark.slow
-def test_fifty_goals_at_once_are_all_answered_and_one_moves_the_robot(robot: Robot, actions: Actions) -> None:
+def test_fifty_goals_at_once_are_answered_and_one_runs(robot: Robot, actions: Actions) -> None:
     robot.plan()
     goals = [actions.send() for _ in range(50)]
     statuses = [goal.ended()[0] for goal in goals if goal.accepted]
@@ -242,9 +240,7 @@ def test_fifty_goals_at_once_are_all_answered_and_one_moves_the_robot(robot: Rob
     assert actions.send().ended()[0] == SUCCEEDED
 
 
-def test_what_a_goal_waits_for_is_on_the_diagnostics_and_with_the_strategy(
-    running: Stack, robot: Robot, actions: Actions
-) -> None:
+def test_what_a_goal_waits_for_is_on_diagnostics(running: Stack, robot: Robot, actions: Actions) -> None:
     report: list[DiagnosticStatus] = []
     node = running.ros.node
     subscription = node.create_subscription(DiagnosticArray, "/diagnostics", lambda new: report.extend(new.status), 10)

@@ -97,7 +97,7 @@ def test_forward_kinematics_read_joints_by_name_and_by_order(running: Stack) -> 
         assert_there(q, pose)
 
 
-def test_of_forward_kinematics_what_is_wrong_is_marked_and_the_rest_answered(running: Stack) -> None:
+def test_invalid_fk_requests_are_marked_and_others_answered(running: Stack) -> None:
     beyond = (0.0, 0.0, 3.0, 0.0, 0.0, 0.0)
     states = [
         JointState(position=HOME),

@@ -168,7 +168,7 @@ def test_control_strategy_switches_at_once(running: Stack, parameters: Node) -> 
         parameters.becomes("robot_type", strategy)
 
 
-def test_a_switch_that_fails_is_refused_with_the_executors_reason(running: Stack, parameters: Node) -> None:
+def test_a_failed_switch_is_refused_with_the_executor_s_reason(running: Stack, parameters: Node) -> None:
     reason = parameters.set("control_strategy", "joint_speed")
     assert reason is not None
     assert "no driver publishes the robot's joints" in reason
@@ -188,7 +188,7 @@ def test_the_parameters_follow_whoever_switches(running: Stack, parameters: Node
 
 
 @pytest.mark.slow
-def test_after_many_switches_at_once_the_parameters_say_what_is_active(running: Stack, parameters: Node) -> None:
+def test_after_concurrent_switches_parameters_are_consistent(running: Stack, parameters: Node) -> None:
     for _ in range(10):
         pending = parameters.client.set_parameters([Parameter("control_strategy", value="ghost")])
         switch(running, "emulator")
@@ -257,7 +257,7 @@ def test_a_world_file_of_curobo_becomes_the_scene(running: Stack, parameters: No
         ),
     ],
 )
-def test_a_world_file_that_cannot_be_read_is_refused_and_the_scene_stays(
+def test_an_unreadable_world_file_is_refused_and_the_scene_stays(
     running: Stack, parameters: Node, tmp_path: Path, text: str, reason: str
 ) -> None:
     file = tmp_path / "world.yml"

@@ -124,7 +124,7 @@ def report(response: Any) -> tuple[bool, str]:
 
 
 @pytest.mark.parametrize("what", LARGE)
-def test_what_is_larger_than_the_limits_is_refused_with_the_limit(running: Stack, what: str) -> None:
+def test_requests_beyond_the_limits_are_refused_with_the_limit(running: Stack, what: str) -> None:
     name, request, reason = LARGE[what]
     success, message = report(running.ros.call(GOOD[name][0], name, **request))
     assert not success
@@ -168,7 +168,7 @@ def test_parameters_that_cannot_be_are_refused_with_the_reason(running: Stack) -
             assert len(result.reason) < LONGEST
 
 
-def test_goals_with_a_target_that_is_none_are_aborted_with_the_field(running: Stack) -> None:
+def test_goals_without_a_valid_target_are_aborted_by_field(running: Stack) -> None:
     chance = random.Random(1)
     actions, closed = Actions(running.ros.node), Actions(running.ros.node, "mpc_move", MpcMove)
     for number in NUMBERS[:3]:

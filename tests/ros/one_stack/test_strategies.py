@@ -42,7 +42,7 @@ def test_version_2_switches_by_name_and_tells_both_names(running: Stack, first: 
     assert active(running) == "ghost"
 
 
-def test_version_2_refuses_with_the_executors_reason_and_nothing_changes(running: Stack, first: RosClient) -> None:
+def test_version_2_refuses_with_the_executor_s_reason(running: Stack, first: RosClient) -> None:
     for name, reason in (("joint_speed", "driver"), ("nothing_like_it", "there is no strategy"), ("", "no strategy")):
         answered = running.ros.call(SetRobotStrategy, "set_robot_strategy", robot_strategy=name)
         assert not answered.success
@@ -61,7 +61,7 @@ def test_version_1_switches_to_what_robot_type_says(running: Stack, first: RosCl
     assert first.call(Trigger, "set_robot_strategy").message == "Strategy switched from 'ghost' to 'emulator'"
 
 
-def test_version_1_fails_with_the_reason_and_robot_type_is_as_before(running: Stack, first: RosClient) -> None:
+def test_version_1_fails_and_keeps_robot_type(running: Stack, first: RosClient) -> None:
     robot_type(first.node, "doosan_m1013")
     answered = first.call(Trigger, "set_robot_strategy")
     assert not answered.success

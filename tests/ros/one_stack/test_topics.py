@@ -62,9 +62,7 @@ def test_every_plan_is_on_trajectory_and_replayed_by_the_ghost(client: Client, r
     assert list(ghost[-1].name) == list(ROBOT.descriptor.joints)
 
 
-def test_the_robot_is_on_joint_states_whatever_the_strategy_and_the_emulator_on_its_own_topic(
-    client: Client, ros: RosClient
-) -> None:
+def test_the_robot_is_on_joint_states_under_every_strategy(client: Client, ros: RosClient) -> None:
     robot = ros.heard(JointState, "/joint_states")
     emulator = ros.heard(JointState, "/emulator/joint_states")
     client.ended(client.execute(rest_to_rest(moved(0.3))))
@@ -89,9 +87,7 @@ def test_the_robot_is_on_joint_states_whatever_the_strategy_and_the_emulator_on_
         client.strategy("emulator")
 
 
-def test_joints_are_received_while_somebody_listens_and_again_for_whoever_comes_later(
-    running: Stack, ros: RosClient
-) -> None:
+def test_joints_are_published_while_there_are_subscribers(running: Stack, ros: RosClient) -> None:
     with open_client(running.endpoint) as session:
         publisher = session.declare_publisher(KEYS.preview_joint_states)
 
@@ -154,9 +150,7 @@ def test_the_spheres_of_the_robot_are_in_the_frames_of_its_links(ros: RosClient)
 
 
 @pytest.mark.parametrize("topic", ["/robot_description", "/preview/robot_description"])
-def test_the_description_of_the_robot_is_there_for_whoever_comes_late_with_a_shape_for_each_link(
-    ros: RosClient, topic: str
-) -> None:
+def test_robot_description_is_latched_with_a_shape_per_link(ros: RosClient, topic: str) -> None:
     description = ElementTree.fromstring(one(ros.heard(String, topic, LATCHED), "the description").data)
     own = ElementTree.parse(ROBOT.urdf_path).getroot()
     assert [ElementTree.tostring(joint).split() for joint in description.iter("joint")] == [

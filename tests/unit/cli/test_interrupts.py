@@ -48,7 +48,7 @@ class Door:
 
 
 @pytest.mark.parametrize("number", BOTH)
-def test_a_signal_while_nothing_is_waited_for_comes_up_at_the_next_wait(number: signal.Signals) -> None:
+def test_a_signal_between_waits_is_raised_at_the_next_wait(number: signal.Signals) -> None:
     signal.raise_signal(number)
     assert interrupts.pending()
     with pytest.raises(KeyboardInterrupt):
@@ -133,7 +133,7 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(interrupts, "_INSISTS", 0.0)
 
 
-def test_whoever_insists_ignores_the_first_tells_at_the_second_and_leaves_at_the_third(at_once: None) -> None:
+def test_of_three_signals_the_second_warns_and_the_third_leaves(at_once: None) -> None:
     reported = Told()
     with interrupts.insist(reported):
         for times in (0, 1):
@@ -156,7 +156,7 @@ def test_what_was_ignored_while_insisting_comes_up_afterwards(at_once: None) -> 
 
 
 @pytest.mark.lengthy
-def test_a_third_signal_counts_once_what_is_asked_for_has_had_its_time() -> None:
+def test_a_third_signal_counts_after_a_minimum_time() -> None:
     for _ in range(3):
         signal.raise_signal(signal.SIGINT)
     with interrupts.insist(Told()):

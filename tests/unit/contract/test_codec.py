@@ -262,9 +262,7 @@ TARGET = '{"goal_id": "jog", "sequence": 1, "stamp": 1.0, "target": %s}'
         ),
     ],
 )
-def test_what_is_missing_or_unknown_is_named_with_what_to_write_there(
-    cls: type[Message], payload: str, problem: str
-) -> None:
+def test_missing_and_unknown_fields_are_named_with_the_remedy(cls: type[Message], payload: str, problem: str) -> None:
     with pytest.raises(InvalidRequest) as refusal:
         decode(cls, payload.encode())
     assert str(refusal.value).endswith(problem)
@@ -287,7 +285,7 @@ def test_no_more_fields_are_read_than_the_largest_scene_has() -> None:
 
 
 @pytest.mark.parametrize("cls", [m.JointState, m.DriverProgress, m.CancelRequest, m.Nothing, m.StrategyRequest])
-def test_what_stops_a_robot_or_is_read_in_its_control_loop_is_short(cls: type[Message]) -> None:
+def test_messages_that_stop_or_control_a_robot_are_short(cls: type[Message]) -> None:
     with pytest.raises(InvalidRequest, match="over the limit of 16384"):
         decode(cls, b"{%s}" % (b" " * 20_000))
 

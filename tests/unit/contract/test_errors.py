@@ -13,11 +13,11 @@ EXCEPTIONS = ZarmError.__subclasses__()
 CODES = get_args(Code)
 
 
-def test_every_problem_code_belongs_to_exactly_one_exception_class() -> None:
+def test_every_problem_code_has_exactly_one_exception_class() -> None:
     assert sorted(code for cls in EXCEPTIONS for code in cls.codes) == sorted(CODES)
 
 
-def test_the_tree_at_the_top_of_the_module_is_the_tree_of_classes() -> None:
+def test_the_documented_tree_is_the_class_hierarchy() -> None:
     drawn = [line.split()[1] for line in (errors.__doc__ or "").splitlines() if "── " in line]
     assert drawn == [cls.__name__ for cls in EXCEPTIONS]
 
@@ -32,7 +32,7 @@ def test_a_problem_becomes_its_exception_and_is_kept_whole(code: Code) -> None:
     assert error.problem == problem
 
 
-def test_an_exception_carries_the_first_code_of_its_class_unless_told() -> None:
+def test_an_exception_s_default_code_is_its_class_s_first() -> None:
     assert ExecutionRefused("too fast").code == "limit_violated"
     assert ExecutionRefused("too old", code="stale_plan").code == "stale_plan"
 

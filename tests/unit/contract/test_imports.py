@@ -31,7 +31,7 @@ _CONTRACT = {"zarm_contract", "pydantic", "yaml", "zenoh"}
 _RUNTIME = _CONTRACT | {"zarm_runtime"}
 
 
-def test_the_contract_imports_pydantic_yaml_and_zenoh_and_nothing_else() -> None:
+def test_the_contract_imports_only_pydantic_yaml_and_zenoh() -> None:
     assert loaded("zarm_contract") == _CONTRACT
 
 

@@ -65,7 +65,7 @@ def test_every_key_is_a_canonical_key_expression() -> None:
 
 
 @pytest.mark.parametrize("robot", ["doosan_m1013", "a", "ur5e", "left_2", "x" * 64])
-def test_a_robot_name_is_lower_case_letters_digits_and_underscores(robot: str) -> None:
+def test_a_robot_name_is_lower_case_alphanumeric(robot: str) -> None:
     assert Keys(robot).plan == f"zarm/{robot}/planner/plan"
 
 

@@ -95,7 +95,7 @@ def test_an_example_survives_the_wire_unchanged(example: Message) -> None:
 
 
 @every_class
-def test_a_message_survives_the_wire_with_everything_optional_left_out(cls: type[Message]) -> None:
+def test_a_message_survives_the_wire_with_defaults(cls: type[Message]) -> None:
     required = {name for name, field in cls.model_fields.items() if field.is_required()}
     for example in by_class()[cls]:
         bare = cls.model_validate_json(example.model_dump_json(include=required))
@@ -171,7 +171,7 @@ def test_a_value_of_another_type_is_refused_by_field(example: Message) -> None:
 
 
 @every_example
-def test_an_unknown_field_is_refused_by_name_or_passed_over_in_what_is_read_from_every_version(
+def test_unknown_fields_are_refused_except_across_versions(
     example: Message,
 ) -> None:
     data = json.loads(encode(example))
@@ -268,7 +268,7 @@ def test_a_quaternion_that_is_no_rotation_is_refused(orientation: tuple[float, f
     assert refused_field(messages.Pose, payload) == "orientation"
 
 
-def test_a_quaternion_that_is_a_rotation_but_for_rounding_is_normalised() -> None:
+def test_a_nearly_normalised_quaternion_is_normalised() -> None:
     pose = messages.Pose(position=(0.0, 0.0, 0.0), orientation=(0.0, 0.0, 0.7071, 0.7071))
     assert sum(x * x for x in pose.orientation) == pytest.approx(1.0, abs=1e-15)
 
@@ -287,7 +287,7 @@ def test_a_quaternion_that_is_a_rotation_but_for_rounding_is_normalised() -> Non
         (("joint_names",), []),
     ],
 )
-def test_a_trajectory_whose_columns_do_not_fit_is_refused_by_field(path: Path, value: Any) -> None:
+def test_a_trajectory_of_unequal_columns_is_refused_by_field(path: Path, value: Any) -> None:
     (example,) = by_class()[messages.Trajectory]
     assert refused_field(messages.Trajectory, changed(json.loads(encode(example)), path, value)) == dotted(path)
 

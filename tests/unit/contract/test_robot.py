@@ -32,7 +32,7 @@ def test_a_descriptor_and_its_urdf_make_a_robot(pendulum: Path) -> None:
     assert robot.urdf_path == pendulum.with_name("pendulum.urdf")
 
 
-def test_a_continuous_joint_has_no_limits_and_is_shown_in_one_turn(pendulum: Path) -> None:
+def test_a_continuous_joint_has_no_limits(pendulum: Path) -> None:
     urdf = pendulum.with_name("pendulum.urdf")
     replace(urdf, 'type="revolute"', 'type="continuous"')
     robot = load_robot(str(pendulum))

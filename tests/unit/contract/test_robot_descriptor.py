@@ -87,7 +87,7 @@ def test_a_fault_of_the_descriptor_has_its_line_and_a_remedy(
     assert f"{arm}:{line}: {fault.replace('{folder}', str(arm.parent)).replace('{home}', str(home))}" in faults(arm)
 
 
-def test_a_robot_that_takes_whole_trajectories_alone_may_have_any_control_rate(arm: Path) -> None:
+def test_with_whole_trajectories_any_control_rate_is_valid(arm: Path) -> None:
     edit(arm, "interpolation_dt: 0.02", "interpolation_dt: 0.02\nexecution: {control_rate: 130}")
     edit(arm, "strategies: [joint_speed, joint_pose, joint_trajectory]", "strategies: [joint_trajectory]")
     assert load_robot(str(arm)).descriptor.execution.control_rate == 130

@@ -235,7 +235,7 @@ def measured_covers(name: str) -> Iterator[tuple[str, list[dict[str, Any]]]]:
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_the_exact_geometry_contains_what_was_fitted_around_the_meshes(name: str) -> None:
+def test_exact_geometry_contains_the_fitted_meshes(name: str) -> None:
     collision = load_robot(name).descriptor.collision
     for link, items in measured_covers(name):
         for item in items:

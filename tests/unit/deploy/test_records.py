@@ -7,7 +7,7 @@ import yaml
 from support.paths import ROOT
 
 
-def test_the_viewer_reads_the_executors_state_and_cannot_write_it() -> None:
+def test_the_viewer_reads_executor_state_and_cannot_write_it() -> None:
     services = yaml.safe_load((ROOT / "deploy" / "compose.yaml").read_text())["services"]
     records = services["viewer"]["environment"]["ZARM_RECORDS"]
     kept = next(

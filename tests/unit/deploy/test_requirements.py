@@ -62,7 +62,7 @@ def closure(wanted: list[str]) -> set[str]:
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize("image", EXTRAS)
-def test_an_image_installs_all_that_its_service_needs_and_nothing_else(image: str) -> None:
+def test_an_image_installs_exactly_what_its_service_needs(image: str) -> None:
     project = PROJECT["project"]
     declared = project["dependencies"] + [
         line for extra in EXTRAS[image] for line in project["optional-dependencies"][extra]
@@ -76,7 +76,7 @@ def test_an_image_installs_all_that_its_service_needs_and_nothing_else(image: st
 
 
 @pytest.mark.parametrize("file", FILES)
-def test_every_package_of_an_image_has_the_version_that_is_tested(file: str) -> None:
+def test_images_have_the_tested_package_versions(file: str) -> None:
     constraints = pins((ROOT / "constraints.txt").read_text())
     installed = pins(text_of(file))
     assert installed

@@ -49,3 +49,14 @@ def test_no_name_has_a_private_word() -> None:
         if token.type == tokenize.NAME and not keyword.iskeyword(token.string) and words(token.string) & PRIVATE
     ]
     assert found == []
+
+
+def test_names_of_tests_have_at_most_60_characters() -> None:
+    """So that a line of pytest's output has room for it."""
+    names = re.compile(r"^(?:async )?def (test_\w{56,})\(", re.MULTILINE)
+    found = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in sorted((ROOT / "tests").rglob("*.py"))
+        for name in names.findall(path.read_text())
+    ]
+    assert found == []

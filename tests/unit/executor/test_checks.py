@@ -133,7 +133,7 @@ def test_an_old_measured_state_is_none() -> None:
     assert refusal.value.problem.code == "no_joint_state"
 
 
-def test_a_robot_elsewhere_is_refused_and_the_joint_and_the_difference_are_named() -> None:
+def test_a_start_elsewhere_is_refused_with_joint_and_distance() -> None:
     with pytest.raises(ExecutionRefused, match=r"joint_2 .* 0\.0600 rad away") as refusal:
         start_from(measured_at(moved(0.0, 0.06)))
     assert refusal.value.problem.code == "start_state_mismatch"
@@ -159,7 +159,7 @@ def test_a_joint_a_whole_turn_away_moves_on_from_where_it_is() -> None:
     np.testing.assert_allclose(path.end, turned + moved(0.5) - HOME, atol=1e-9)
 
 
-def test_a_joint_a_whole_turn_away_is_refused_where_its_range_ends_on_the_way() -> None:
+def test_a_start_a_whole_turn_away_is_refused_at_a_limit() -> None:
     path = executable(rest_to_rest(moved(-0.5)), ROBOT)
     with pytest.raises(ExecutionRefused, match="joint_1") as refusal:
         start_from(measured_at(moved(-math.tau)), path)

@@ -11,7 +11,7 @@ from zarm_executor.clocks import time_of_day
 AWAY = 0.01
 
 
-def test_what_has_the_processor_between_two_readings_of_the_clocks_moves_no_moment(
+def test_preemption_between_clock_readings_moves_no_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     read, undisturbed = time.time, time_of_day(0.0)

@@ -12,7 +12,7 @@ from support.executor.driver_bench import MOVING, Case, DriverBench
 from zarm_executor.machine import STALL_LIMIT
 
 
-def test_what_a_velocity_driver_is_sent_never_breaks_the_bounds_however_far_the_robot_is_off(tmp_path: Folder) -> None:
+def test_velocity_commands_keep_the_bounds_from_anywhere(tmp_path: Folder) -> None:
     bench = DriverBench(Case("joint_speed"), tmp_path)
     bench.execute()
     for push in (0.1, -0.15, 0.12, -0.1):
@@ -24,7 +24,7 @@ def test_what_a_velocity_driver_is_sent_never_breaks_the_bounds_however_far_the_
     assert max(np.abs(command.velocity).max() for _, command in bench.commands if command.time) <= 1.2
 
 
-def test_what_is_sent_is_what_is_published_and_agrees_from_one_chunk_to_the_next(tmp_path: Folder) -> None:
+def test_commands_are_published_as_sent_and_consistent(tmp_path: Folder) -> None:
     bench = DriverBench(Case("joint_speed"), tmp_path)
     bench.execute()
     bench.until("idle")
@@ -41,7 +41,7 @@ def test_what_is_sent_is_what_is_published_and_agrees_from_one_chunk_to_the_next
         np.testing.assert_allclose(after.acceleration[1:], inside / 0.02, atol=1e-9)
 
 
-def test_after_a_pause_without_chunks_the_next_begins_at_the_velocity_that_the_driver_plays(tmp_path: Folder) -> None:
+def test_after_a_pause_a_chunk_begins_at_the_played_velocity(tmp_path: Folder) -> None:
     bench = DriverBench(Case("joint_speed"), tmp_path)
     bench.execute()
     bench.run(1.2)
@@ -66,7 +66,7 @@ def test_positions_alone_are_streamed_by_joint_pose(tmp_path: Folder) -> None:
     assert all(not command.velocity and not command.acceleration for command in chunks)
 
 
-def test_a_streamed_robot_whose_chunks_stop_coming_comes_to_rest_by_itself(tmp_path: Folder) -> None:
+def test_a_streamed_robot_without_chunks_comes_to_rest(tmp_path: Folder) -> None:
     bench = DriverBench(Case("joint_speed"), tmp_path)
     bench.execute()
     bench.run(1.2)
@@ -87,7 +87,7 @@ def test_after_a_pause_joints_from_before_it_move_nothing(tmp_path: Folder) -> N
     np.testing.assert_array_equal(bench.arm.position, stood)
 
 
-def test_drift_does_not_add_up_when_the_measured_joints_close_the_loop(tmp_path: Folder) -> None:
+def test_measured_joints_keep_drift_from_adding_up(tmp_path: Folder) -> None:
     """A driver that is 5 % too slow is corrected by joint_speed; joint_trajectory, open loop, ends beside the goal."""
     ends = {}
     for name in ("joint_speed", "joint_trajectory"):

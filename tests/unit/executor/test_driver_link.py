@@ -35,7 +35,7 @@ def state(names: tuple[str, ...], values: tuple[float, ...]) -> JointState:
     return JointState(stamp=0.0, joint_names=names, position=values, velocity=tuple(-value for value in values))
 
 
-def test_joint_states_are_read_by_name_whatever_their_order_and_company(link: DriverLink, bus: Bus) -> None:
+def test_joint_states_are_read_by_name_in_any_order(link: DriverLink, bus: Bus) -> None:
     assert link.measured() is None
     assert "start the robot's driver" in (link.obstacle() or "")
     driver = bus.publisher(KEYS.driver_joint_states)
@@ -49,7 +49,7 @@ def test_joint_states_are_read_by_name_whatever_their_order_and_company(link: Dr
     eventually(lambda: "joint_state_timeout" in (link.obstacle() or ""), "the joints are old")
 
 
-def test_joints_of_another_robot_and_what_cannot_be_read_are_ignored_loudly_once(
+def test_foreign_and_invalid_joints_are_ignored_and_logged_once(
     link: DriverLink, bus: Bus, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.WARNING)
@@ -62,7 +62,7 @@ def test_joints_of_another_robot_and_what_cannot_be_read_are_ignored_loudly_once
     assert caplog.text.count("another robot") == 1
 
 
-def test_joints_that_are_told_again_and_again_with_one_stamp_grow_old(link: DriverLink, bus: Bus) -> None:
+def test_joints_repeated_with_one_stamp_grow_old(link: DriverLink, bus: Bus) -> None:
     driver = bus.publisher(KEYS.driver_joint_states)
     newest = link._states
     frozen = state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
@@ -90,7 +90,7 @@ def test_after_a_silence_what_was_told_during_it_is_passed_over(link: DriverLink
 
 
 @pytest.mark.lengthy
-def test_a_driver_whose_clock_is_stepped_back_during_a_silence_is_heard_again(link: DriverLink, bus: Bus) -> None:
+def test_a_driver_whose_clock_was_set_back_is_received_again(link: DriverLink, bus: Bus) -> None:
     driver = bus.publisher(KEYS.driver_joint_states)
     reported = state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
     driver.put(reported)
@@ -152,7 +152,7 @@ def test_what_lies_ahead_is_what_the_follower_then_does() -> None:
         assert np.max(np.abs(np.diff(ahead.points.velocity, axis=0))) / 0.02 <= 1.01
 
 
-def test_a_chunk_has_as_many_points_as_asked_for_and_stays_at_the_end() -> None:
+def test_a_chunk_has_as_many_points_as_asked_and_ends_at_rest() -> None:
     path = TimedTrajectory.of(rest_to_rest(moved(0.05)), JOINTS)
     ahead = Follower(path, RATE_LIMITS).ahead(0.02, 100)
     assert ahead.points.position.shape == (100, 6)

@@ -49,7 +49,7 @@ def test_a_new_robot_is_at_home_and_at_rest(tmp_path: Folder) -> None:
     assert measured.time == 5.0
 
 
-def test_it_is_measured_anew_with_every_tick_also_when_nothing_moves(tmp_path: Folder) -> None:
+def test_it_is_measured_at_every_tick_at_rest_too(tmp_path: Folder) -> None:
     emulator = emulator_in(tmp_path)
     emulator.start(TimedTrajectory.of(rest_to_rest(moved(0.1)), JOINTS), 1.0)
     play(emulator, 2.0)
@@ -60,7 +60,7 @@ def test_it_is_measured_anew_with_every_tick_also_when_nothing_moves(tmp_path: F
         assert measured.time == now
 
 
-def test_it_stops_where_it_is_told_and_stays_there_from_one_process_to_the_next(tmp_path: Folder) -> None:
+def test_it_stays_where_it_stopped_across_restarts(tmp_path: Folder) -> None:
     first = emulator_in(tmp_path)
     first.open()
     first.start(TimedTrajectory.of(rest_to_rest(moved(1.0)), JOINTS), 1.0)
@@ -72,7 +72,7 @@ def test_it_stops_where_it_is_told_and_stays_there_from_one_process_to_the_next(
     np.testing.assert_array_equal(position(emulator_in(tmp_path)), position(first))
 
 
-def test_the_commanded_joints_hold_jerk_through_stops_resumes_and_changes_of_speed(tmp_path: Folder) -> None:
+def test_commanded_joints_keep_jerk_through_stop_and_resume(tmp_path: Folder) -> None:
     limits = RateLimits(RATE_LIMITS.acceleration, RATE_LIMITS.acceleration / 0.1)
     emulator = Emulator(EmulatedRobot(ROBOT.descriptor, saved_in(tmp_path)), limits)
     emulator.start(TimedTrajectory.of(rest_to_rest(moved(1.0, -0.4)), JOINTS), 1.0)
@@ -105,7 +105,7 @@ def test_the_position_is_saved_while_it_moves(tmp_path: Folder) -> None:
         emulator.close()
 
 
-def test_a_saved_position_that_cannot_be_read_is_ignored_with_a_warning(
+def test_an_unreadable_saved_position_is_ignored_with_a_warning(
     tmp_path: Folder, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "emulated_robot.json").write_text('{"stamp": 1')
@@ -113,9 +113,7 @@ def test_a_saved_position_that_cannot_be_read_is_ignored_with_a_warning(
     assert "emulated_robot.json" in caplog.text
 
 
-def test_a_saved_position_of_other_joints_is_ignored_with_a_warning(
-    tmp_path: Folder, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_saved_position_of_other_joints_is_ignored(tmp_path: Folder, caplog: pytest.LogCaptureFixture) -> None:
     saved_in(tmp_path).save(JointState(stamp=0.0, joint_names=("a",), position=(1.0,), velocity=(0.0,)))
     np.testing.assert_array_equal(position(emulator_in(tmp_path)), HOME)
     assert "starts at home" in caplog.text
@@ -127,9 +125,7 @@ def test_it_does_not_open_where_its_position_cannot_be_kept(tmp_path: Folder) ->
         emulator_in(tmp_path / "state").open()
 
 
-def test_losing_the_folder_in_motion_costs_a_warning_and_not_the_motion(
-    tmp_path: Folder, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_losing_the_folder_in_motion_is_only_a_warning(tmp_path: Folder, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.WARNING)
     emulator = emulator_in(tmp_path / "state")
     emulator.open()

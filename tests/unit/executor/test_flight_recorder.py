@@ -50,7 +50,7 @@ def test_the_newest_are_kept_and_drafts_of_a_killed_process_go(ring: Ring, tmp_p
     assert left[KEPT:] == ["notes.txt"]
 
 
-def test_of_faults_that_come_while_one_is_written_the_last_has_a_record(
+def test_of_faults_during_a_write_the_last_is_recorded(
     ring: Ring, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     codes: tuple[Code, ...] = ("timeout", "internal", "tolerance_violated")

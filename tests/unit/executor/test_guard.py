@@ -54,7 +54,7 @@ def guarded_for(bench: Bench, seconds: float, said: Authority) -> None:
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
-def test_it_rests_before_the_end_of_its_authority_and_goes_on_when_that_is_extended(bench: Bench, share: float) -> None:
+def test_it_rests_before_its_authority_ends_and_resumes(bench: Bench, share: float) -> None:
     trajectory = bench.execute(scene=SCENE)
     until = share * trajectory.duration
     guarded_for(bench, trajectory.duration + 1.0, authority(until))
@@ -72,7 +72,7 @@ def test_it_rests_before_the_end_of_its_authority_and_goes_on_when_that_is_exten
     assert bench.greatest_acceleration() <= 1.005
 
 
-def test_what_comes_too_late_to_be_avoided_is_told_so_and_braked_for(bench: Bench) -> None:
+def test_an_object_too_late_to_avoid_is_reported_and_braked_for(bench: Bench) -> None:
     trajectory = bench.execute(scene=SCENE)
     bench.run(trajectory.duration / 2)
     now = bench.arm.follower.time
@@ -94,7 +94,7 @@ def test_a_goal_that_is_held_for_long_is_given_up(bench: Bench) -> None:
     assert "box is in the way of link_5" in bench.last().problem.message
 
 
-def test_what_a_servo_says_of_another_scene_holds_a_goal_back_but_does_not_let_it_go_on(bench: Bench) -> None:
+def test_a_check_in_another_scene_holds_and_never_resumes(bench: Bench) -> None:
     trajectory = bench.execute(scene=SCENE)
     until, other = trajectory.duration / 2, "2-5be0c1d2f3a4"
     guarded_for(bench, trajectory.duration + 1.0, authority(until, scene=other))
@@ -108,7 +108,7 @@ def test_what_a_servo_says_of_another_scene_holds_a_goal_back_but_does_not_let_i
     assert bench.arm.follower.time > held_at
 
 
-def test_an_old_message_and_one_about_another_goal_change_nothing(bench: Bench) -> None:
+def test_old_and_foreign_messages_change_nothing(bench: Bench) -> None:
     trajectory = bench.execute(scene=SCENE)
     old = authority(trajectory.duration / 4)
     bench.machine.receive(authority(), bench.now)
@@ -118,7 +118,7 @@ def test_an_old_message_and_one_about_another_goal_change_nothing(bench: Bench) 
     assert bench.last().status == "succeeded"
 
 
-def test_where_a_guard_is_required_a_silent_servo_brakes_the_robot_until_it_is_back() -> None:
+def test_a_required_guard_that_is_silent_brakes_the_robot() -> None:
     bench = bench_with(guard="required")
     trajectory = bench.execute(scene=SCENE)
     guarded_for(bench, 0.5, authority())
@@ -132,7 +132,7 @@ def test_where_a_guard_is_required_a_silent_servo_brakes_the_robot_until_it_is_b
     assert bench.arm.follower.time > held_at
 
 
-def test_a_goal_is_resumed_in_another_scene_where_the_servo_has_checked_it_in_that_alone(bench: Bench) -> None:
+def test_a_goal_resumes_in_another_scene_once_checked_there(bench: Bench) -> None:
     trajectory = bench.execute(scene=SCENE)
     bench.run(0.5)
     bench.machine.pause(arrival())

@@ -65,7 +65,7 @@ def test_a_loop_may_be_started_again() -> None:
         loop.stop()
 
 
-def test_an_exception_in_a_loop_ends_the_process_and_leaves_its_trace() -> None:
+def test_an_exception_in_a_loop_ends_the_process_with_a_trace() -> None:
     program = (
         "import threading\n"
         "from zarm_executor.loop import Loop\n"

@@ -47,9 +47,7 @@ def test_a_second_goal_is_refused_until_the_first_has_ended(bench: Bench) -> Non
 
 
 @pytest.mark.parametrize("goal_id", [None, "goal-1"], ids=["any goal", "this goal"])
-def test_cancel_brings_the_robot_to_rest_on_the_path_inside_the_acceleration_limits(
-    bench: Bench, goal_id: str | None
-) -> None:
+def test_cancel_decelerates_on_the_path_within_limits(bench: Bench, goal_id: str | None) -> None:
     path = bench.execute()
     bench.run(path.duration / 2)
     bench.machine.cancel(goal_id, "enough", arrival())
@@ -63,7 +61,7 @@ def test_cancel_brings_the_robot_to_rest_on_the_path_inside_the_acceleration_lim
     assert bench.greatest_acceleration() <= 1.005
 
 
-def test_cancelling_another_goal_or_a_finished_one_changes_nothing(bench: Bench) -> None:
+def test_cancelling_another_or_a_finished_goal_changes_nothing(bench: Bench) -> None:
     bench.machine.cancel(None, "nothing runs", arrival())
     bench.execute()
     bench.run(0.2)
@@ -158,7 +156,7 @@ def test_a_goal_cancelled_before_its_first_tick_does_not_move(bench: Bench) -> N
 
 
 @pytest.mark.parametrize("scale", [0.05, 0.5])
-def test_a_motion_at_a_lower_speed_takes_longer_and_is_not_overdue(bench: Bench, scale: float) -> None:
+def test_a_slower_motion_takes_longer_and_is_not_overdue(bench: Bench, scale: float) -> None:
     bench.machine.set_speed(scale)
     assert bench.machine.state().speed_scale == scale
     path = bench.execute()
@@ -168,7 +166,7 @@ def test_a_motion_at_a_lower_speed_takes_longer_and_is_not_overdue(bench: Bench,
     assert bench.last().elapsed == pytest.approx(path.duration / scale, rel=0.02)
 
 
-def test_the_speed_changes_in_motion_inside_the_acceleration_limits_and_stays_for_later_goals(bench: Bench) -> None:
+def test_speed_changes_in_motion_within_limits_and_persists(bench: Bench) -> None:
     path = bench.execute()
     for scale in (0.3, 1.0, 0.05, 0.5):
         bench.run(0.4)
@@ -182,7 +180,7 @@ def test_the_speed_changes_in_motion_inside_the_acceleration_limits_and_stays_fo
 
 
 @pytest.mark.parametrize("scale", [0.05, 0.4, 1.0])
-def test_at_every_speed_a_goal_can_be_held_go_on_and_be_cancelled(bench: Bench, scale: float) -> None:
+def test_a_goal_is_held_resumed_and_cancelled_at_every_speed(bench: Bench, scale: float) -> None:
     bench.machine.set_speed(scale)
     bench.execute()
     bench.run(0.6 / scale)
@@ -218,7 +216,7 @@ def test_a_new_speed_does_not_move_what_is_held_or_ending(bench: Bench) -> None:
 # --- preemption ---
 
 
-def test_a_goal_that_is_preempted_is_cancelled_and_names_the_one_that_replaces_it(bench: Bench) -> None:
+def test_a_preempted_goal_is_cancelled_and_names_its_successor(bench: Bench) -> None:
     bench.execute()
     bench.run(0.5)
     bench.machine.admit(preempt=True)
@@ -249,7 +247,7 @@ def test_nothing_is_preempted_where_nothing_could_start(bench: Bench) -> None:
         bench.machine.admit(preempt=True)
 
 
-def test_a_goal_that_waits_for_the_one_it_preempts_is_withdrawn_by_a_cancel_of_either_kind(bench: Bench) -> None:
+def test_a_goal_waiting_to_preempt_can_be_cancelled(bench: Bench) -> None:
     for goal_id in (None, "goal-2"):
         before = arrival()
         bench.machine.preempt("goal-2", before, PATIENCE)
@@ -265,9 +263,7 @@ def test_a_goal_that_waits_for_the_one_it_preempts_is_withdrawn_by_a_cancel_of_e
 
 
 @pytest.mark.parametrize("hold", ["stop", "cancel", "pause"])
-def test_a_motion_that_was_asked_for_before_a_stop_a_cancel_or_a_pause_does_not_begin_after_it(
-    bench: Bench, hold: str
-) -> None:
+def test_a_motion_requested_before_a_stop_does_not_begin(bench: Bench, hold: str) -> None:
     early = arrival()
     if hold == "stop":
         bench.machine.stop("enough", arrival())
@@ -286,7 +282,7 @@ def test_a_motion_that_was_asked_for_before_a_stop_a_cancel_or_a_pause_does_not_
     assert bench.last().status == "succeeded"
 
 
-def test_a_stop_wins_over_a_switch_that_arrived_before_it_and_a_cancel_does_not(bench: Bench) -> None:
+def test_a_stop_wins_over_an_earlier_switch_a_cancel_does_not(bench: Bench) -> None:
     early, other = arrival(), Arm()
     bench.machine.cancel(None, "enough", arrival())
     bench.machine.switch(bench.arm, PATIENCE, early)
@@ -324,7 +320,7 @@ def test_a_stop_wins_over_a_reset_that_arrived_before_it(bench: Bench) -> None:
 # --- strategies, and the end ---
 
 
-def test_a_switch_while_nothing_moves_closes_the_old_strategy_and_opens_the_new_one(bench: Bench) -> None:
+def test_a_switch_at_rest_closes_one_strategy_opens_the_other(bench: Bench) -> None:
     other = Arm()
     other.name = "other"  # type: ignore[misc]
     bench.machine.switch(other, 1.0, arrival())
@@ -333,7 +329,7 @@ def test_a_switch_while_nothing_moves_closes_the_old_strategy_and_opens_the_new_
     assert bench.machine.state().strategy == "other"
 
 
-def test_a_switch_that_fails_leaves_the_old_strategy_active_and_says_so(bench: Bench) -> None:
+def test_a_failed_switch_keeps_the_old_strategy_and_says_so(bench: Bench) -> None:
     other = Arm()
     other.name = "other"  # type: ignore[misc]
     other.failure = Unavailable("there is no such driver")
@@ -346,7 +342,7 @@ def test_a_switch_that_fails_leaves_the_old_strategy_active_and_says_so(bench: B
     assert bench.last().status == "succeeded"
 
 
-def test_a_switch_of_a_robot_that_does_not_come_to_rest_is_refused(bench: Bench) -> None:
+def test_a_switch_is_refused_if_the_robot_does_not_stop(bench: Bench) -> None:
     bench.execute()
     bench.run(0.5)
     with pytest.raises(Unavailable, match="does not come to rest; arm is still active"):
@@ -366,9 +362,7 @@ def test_a_machine_that_ends_admits_no_motion(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("order", ["cancel", "switch"])
-def test_a_motion_that_was_being_checked_when_the_robot_was_told_to_stop_does_not_start(
-    bench: Bench, order: str
-) -> None:
+def test_a_motion_being_checked_does_not_start_after_a_stop(bench: Bench, order: str) -> None:
     before = arrival()
     if order == "cancel":
         bench.machine.cancel(None, "stop", arrival())
@@ -402,7 +396,7 @@ def felt(goal_id: str, joint: str | None = "joint_2") -> ExternalTorque:
     return ExternalTorque(stamp=1e9, joint_names=names, torque=torque, largest=torque, goal_id=goal_id, joint=joint)
 
 
-def test_a_felt_collision_brings_the_robot_to_rest_and_is_a_fault(bench: Bench) -> None:
+def test_a_detected_collision_stops_the_robot_in_fault(bench: Bench) -> None:
     path = bench.execute()
     bench.run(path.duration / 2)
     for _ in range(3):
@@ -418,7 +412,7 @@ def test_a_felt_collision_brings_the_robot_to_rest_and_is_a_fault(bench: Bench) 
     assert bench.machine.state().mode == "idle"
 
 
-def test_torques_below_the_limits_and_those_of_another_goal_end_nothing(bench: Bench) -> None:
+def test_torques_below_limits_or_of_another_goal_end_nothing(bench: Bench) -> None:
     bench.execute("goal-2")
     bench.run(0.3)
     bench.machine.collide(felt("goal-1"))

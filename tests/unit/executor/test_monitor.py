@@ -60,7 +60,7 @@ def forgiving() -> Bench:
     return Bench(robot=ROBOT.descriptor.model_copy(update={"execution": execution}))
 
 
-def test_where_the_descriptor_says_so_the_next_goal_leaves_a_fault_whose_reason_is_gone() -> None:
+def test_clear_at_rest_lets_the_next_goal_leave_a_fault() -> None:
     bench = forgiving()
     bench.execute()
     bench.run(0.5)
@@ -82,7 +82,7 @@ def test_where_the_descriptor_says_so_the_next_goal_leaves_a_fault_whose_reason_
     assert bench.last().status == "succeeded"
 
 
-def test_a_robot_that_did_not_stop_when_it_was_told_to_needs_a_reset_whatever_the_descriptor_says() -> None:
+def test_a_robot_that_did_not_stop_always_needs_a_reset() -> None:
     bench = forgiving()
     bench.execute()
     bench.run(0.5)
@@ -128,7 +128,7 @@ def test_a_robot_that_no_longer_reports_is_stopped_in_fault(bench: Bench) -> Non
     fails(bench, "driver_stalled", "has reported no new joints")
 
 
-def test_a_robot_that_reports_again_within_the_hold_timeout_goes_on_to_the_goal(bench: Bench) -> None:
+def test_joints_back_within_the_hold_timeout_resume_the_goal(bench: Bench) -> None:
     bench.execute()
     bench.run(0.5)
     for seconds in (0.35, 0.8, EXECUTION.joint_state_timeout + EXECUTION.hold_timeout - 2 * TICK):
@@ -173,7 +173,7 @@ def test_a_motion_that_takes_too_long_is_stopped_in_fault(bench: Bench) -> None:
     fails(bench, "driver_stalled", "more than allowed")
 
 
-def test_a_driver_that_is_slow_by_itself_and_goes_on_is_waited_for(bench: Bench) -> None:
+def test_a_slow_driver_that_progresses_is_waited_for(bench: Bench) -> None:
     """A UR whose speed slider is down plays every trajectory slower; its users expect it to reach the goal."""
     bench.arm.played = 0.06
     bench.execute()
@@ -181,7 +181,7 @@ def test_a_driver_that_is_slow_by_itself_and_goes_on_is_waited_for(bench: Bench)
     assert bench.last().status == "succeeded"
 
 
-def test_a_driver_that_makes_no_progress_is_stopped_in_fault_long_before_the_allowed_duration(bench: Bench) -> None:
+def test_a_driver_without_progress_is_stopped_in_fault_early(bench: Bench) -> None:
     bench.execute()
     bench.run(0.5)
     bench.arm.played = 0.0
@@ -204,7 +204,7 @@ def test_pauses_do_not_count_towards_the_allowed_duration(bench: Bench) -> None:
     assert bench.last().status == "succeeded"
 
 
-def test_a_robot_that_rests_beside_the_goal_after_the_settle_time_has_missed_it_without_a_fault(bench: Bench) -> None:
+def test_rest_beside_the_goal_after_settling_is_a_miss_no_fault(bench: Bench) -> None:
     path = bench.execute()
     bench.arm.disturb = lag(EXECUTION.goal_tolerance * 2)
     bench.run(path.duration + EXECUTION.settle_time * 0.9)
@@ -219,7 +219,7 @@ def test_a_robot_that_rests_beside_the_goal_after_the_settle_time_has_missed_it_
     bench.machine.admit()
 
 
-def test_a_robot_that_still_moves_beside_the_goal_after_the_settle_time_is_in_fault(bench: Bench) -> None:
+def test_motion_beside_the_goal_after_settling_is_a_fault(bench: Bench) -> None:
     path = bench.execute()
     bench.run(path.duration - 0.5)
     bench.arm.disturb = lambda measured: dataclasses.replace(
@@ -265,7 +265,7 @@ def test_a_robot_that_keeps_moving_after_a_stop_is_in_fault(bench: Bench) -> Non
     fails(bench, "tolerance_violated", "still moves at 0.05 rad/s")
 
 
-def test_a_robot_that_was_stopped_and_rests_elsewhere_is_in_fault(bench: Bench) -> None:
+def test_rest_elsewhere_after_a_stop_is_a_fault(bench: Bench) -> None:
     bench.execute()
     bench.run(0.5)
     bench.machine.cancel(None, "enough", arrival())
@@ -287,7 +287,7 @@ number of ticks."""
 
 
 @pytest.mark.parametrize("how", ["cancel", "pause", "violation"])
-def test_a_goal_that_was_told_to_stop_ends_in_a_stated_time_whatever_the_strategy_does(bench: Bench, how: str) -> None:
+def test_a_stopped_goal_ends_in_a_stated_time_in_any_case(bench: Bench, how: str) -> None:
     bench.machine.set_speed(0.05)
     bench.execute()
     bench.run(0.5)
@@ -310,7 +310,7 @@ def test_a_goal_that_was_told_to_stop_ends_in_a_stated_time_whatever_the_strateg
     assert bench.last().problem == problem
 
 
-def test_a_control_loop_that_was_away_in_motion_ends_in_fault_without_a_jump(bench: Bench) -> None:
+def test_a_long_stall_of_the_loop_ends_in_fault_without_a_jump(bench: Bench) -> None:
     bench.execute()
     bench.run(0.5)
     stood = bench.arm.exact.position
@@ -319,7 +319,7 @@ def test_a_control_loop_that_was_away_in_motion_ends_in_fault_without_a_jump(ben
     fails(bench, "driver_stalled", f"control loop stood still for {STALL_LIMIT + 2.0:.2f} s")
 
 
-def test_a_control_loop_that_was_away_for_a_moment_goes_on_to_the_goal(bench: Bench) -> None:
+def test_a_short_stall_of_the_loop_still_reaches_the_goal(bench: Bench) -> None:
     path = bench.execute()
     bench.run(0.5)
     bench.tick(STALL_LIMIT - 0.1)
@@ -328,7 +328,7 @@ def test_a_control_loop_that_was_away_for_a_moment_goes_on_to_the_goal(bench: Be
     np.testing.assert_allclose(bench.arm.exact.position, path.end, atol=1e-9)
 
 
-def test_a_control_loop_that_was_away_while_nothing_moved_is_no_fault(bench: Bench) -> None:
+def test_a_stall_of_the_loop_at_rest_is_no_fault(bench: Bench) -> None:
     bench.tick(60.0)
     assert bench.machine.state().mode == "idle"
     bench.execute()
@@ -346,7 +346,7 @@ def test_ticks_left_out_are_counted(bench: Bench) -> None:
     assert bench.machine.state().missed_ticks == 4
 
 
-def test_a_robot_that_its_own_controls_pause_is_waited_for_and_goes_on(bench: Bench) -> None:
+def test_a_robot_paused_by_its_own_controls_is_waited_for(bench: Bench) -> None:
     bench.execute()
     bench.run(0.5)
     bench.arm.played = bench.arm.allowed = 0.0
@@ -357,7 +357,7 @@ def test_a_robot_that_its_own_controls_pause_is_waited_for_and_goes_on(bench: Be
     assert bench.last().status == "succeeded"
 
 
-def test_a_robot_that_stays_paused_by_its_own_controls_is_a_fault(bench: Bench) -> None:
+def test_a_robot_kept_paused_by_its_own_controls_is_a_fault(bench: Bench) -> None:
     bench.execute()
     bench.run(0.5)
     bench.arm.played = bench.arm.allowed = 0.0

@@ -36,7 +36,7 @@ def test_before_the_first_plan_an_empty_request_is_refused(plans: Plans) -> None
 
 
 @pytest.mark.lengthy
-def test_the_last_plans_are_known_by_their_id_and_older_ones_are_forgotten(plans: Plans) -> None:
+def test_the_last_plans_are_known_by_id_and_older_ones_dropped(plans: Plans) -> None:
     for number in range(REMEMBERED + 1):
         plans.add("", plan(f"plan-{number}", TRAJECTORY))
     assert plans.chosen(ExecuteRequest(plan_id="plan-1")).plan_id == "plan-1"
@@ -45,7 +45,7 @@ def test_the_last_plans_are_known_by_their_id_and_older_ones_are_forgotten(plans
     assert refusal.value.problem.field == "plan_id"
 
 
-def test_the_plan_that_the_planner_calls_its_newest_goes_before_those_published() -> None:
+def test_the_planner_s_newest_plan_goes_before_those_published() -> None:
     plans = Plans(ROBOT.hash, lambda: plan("newest", TRAJECTORY))
     plans.add("", plan("published", TRAJECTORY))
     assert plans.chosen(ExecuteRequest()).plan_id == "newest"
@@ -53,7 +53,7 @@ def test_the_plan_that_the_planner_calls_its_newest_goes_before_those_published(
     assert plans.chosen(ExecuteRequest(plan_id="published")).plan_id == "published"
 
 
-def test_the_publication_of_a_plan_before_the_newest_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_older_plan_s_publication_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = threading.Event()
 
     def newest() -> Plan:
@@ -69,7 +69,7 @@ def test_the_publication_of_a_plan_before_the_newest_is_waited_for(monkeypatch: 
         assert chosen.result(PATIENCE).plan_id == "on-its-way"
 
 
-def test_a_plan_names_its_scene_and_a_trajectory_does_where_its_client_says_so(plans: Plans) -> None:
+def test_a_plan_names_its_scene_and_a_trajectory_may(plans: Plans) -> None:
     plans.add("", plan("made", TRAJECTORY, revision=SCENE))
     assert plans.chosen(ExecuteRequest()) == Chosen("made", TRAJECTORY, SCENE)
     claimed = ExecuteRequest(trajectory=TRAJECTORY, scene_revision=SCENE)

@@ -51,9 +51,7 @@ def blocked(bench: Bench, until: float, trajectory: int = 1) -> None:
 
 
 @pytest.mark.parametrize("speed", [1.0, 0.4])
-def test_the_robot_goes_over_to_another_trajectory_without_a_jump_and_its_goal_goes_on(
-    bench: Bench, speed: float
-) -> None:
+def test_the_robot_changes_trajectory_without_a_jump(bench: Bench, speed: float) -> None:
     bench.machine.set_speed(speed)
     trajectory = bench.execute(scene=SCENE)
     bench.run(0.3 / speed)
@@ -86,7 +84,7 @@ def test_a_driver_that_is_streamed_to_goes_over_without_a_jump(case: Case, tmp_p
     assert bench.commanded_acceleration() < 1.1 * LIMIT.max()
 
 
-def test_a_goal_that_brakes_before_something_goes_on_along_its_new_trajectory(bench: Bench) -> None:
+def test_a_braking_goal_goes_on_along_its_new_trajectory(bench: Bench) -> None:
     trajectory = bench.execute(scene=SCENE)
     bench.run(0.4)
     at = bench.arm.follower.time + 0.1
@@ -100,7 +98,7 @@ def test_a_goal_that_brakes_before_something_goes_on_along_its_new_trajectory(be
     assert bench.machine.changes[-1].status == "succeeded"
 
 
-def test_a_new_trajectory_is_followed_only_as_far_as_it_was_checked_until_the_servo_says_more(bench: Bench) -> None:
+def test_a_new_trajectory_is_followed_as_far_as_it_was_checked(bench: Bench) -> None:
     trajectory = bench.execute(scene=SCENE)
     bench.run(0.3)
     at = bench.arm.follower.time + 0.1
@@ -117,7 +115,7 @@ def test_a_new_trajectory_is_followed_only_as_far_as_it_was_checked_until_the_se
     assert bench.machine.changes[-1].status == "succeeded"
 
 
-def test_a_goal_that_waits_at_rest_gets_a_trajectory_from_there_and_its_path_time_goes_on(bench: Bench) -> None:
+def test_a_goal_waiting_at_rest_gets_a_trajectory_from_there(bench: Bench) -> None:
     trajectory = bench.execute(scene=SCENE)
     blocked(bench, 0.8)
     bench.run(2.0)
@@ -132,7 +130,7 @@ def test_a_goal_that_waits_at_rest_gets_a_trajectory_from_there_and_its_path_tim
     np.testing.assert_allclose(bench.positions[-1], ELSEWHERE, atol=1e-9)
 
 
-def test_what_comes_too_late_jumps_or_is_for_another_trajectory_is_refused_and_the_robot_goes_on_as_before(
+def test_a_late_or_foreign_replacement_is_refused(
     bench: Bench,
 ) -> None:
     trajectory = bench.execute(scene=SCENE)
@@ -154,7 +152,7 @@ def test_what_comes_too_late_jumps_or_is_for_another_trajectory_is_refused_and_t
 
 
 @pytest.mark.parametrize("command", ["cancel", "pause"])
-def test_a_goal_that_was_told_to_end_or_to_pause_keeps_its_trajectory(bench: Bench, command: str) -> None:
+def test_an_ending_or_paused_goal_keeps_its_trajectory(bench: Bench, command: str) -> None:
     trajectory = bench.execute(scene=SCENE)
     bench.run(0.4)
     at = bench.arm.follower.time + 0.05
@@ -167,7 +165,7 @@ def test_a_goal_that_was_told_to_end_or_to_pause_keeps_its_trajectory(bench: Ben
 
 
 @pytest.mark.parametrize("keeps", [None, PathConstraint(axes=(True, True, False, False, False, False))])
-def test_a_goal_that_another_motion_has_joined_is_replanned_only_if_that_holds_nothing(
+def test_a_joined_goal_is_replanned_only_if_it_holds_nothing(
     keeps: PathConstraint | None,
 ) -> None:
     path = TimedTrajectory.of(rest_to_rest(moved(0.4)), ROBOT.descriptor.joints)

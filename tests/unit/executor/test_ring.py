@@ -34,7 +34,7 @@ def payloads(ring: Ring) -> list[bytes]:
     return [payload for _, _, payload in ring.contents()[1]]
 
 
-def test_what_is_younger_than_the_ring_is_long_is_there_in_the_order_in_which_it_came(clock) -> None:
+def test_the_ring_keeps_its_length_of_time_in_order(clock) -> None:
     ring = Ring(KEYS, seconds=60)
     for tick in range(10_000):  # 100 s
         clock(tick / 100)
@@ -58,7 +58,7 @@ def test_the_memory_of_the_ring_is_bounded_whatever_comes(clock) -> None:
 
 
 @pytest.mark.parametrize(("key", "model"), [(KEYS.plans, Plan), (KEYS.driver_joint_states, JointState)])
-def test_a_message_that_nobody_would_read_for_its_size_is_left_out(key: str, model: type[Message]) -> None:
+def test_a_message_too_large_to_read_is_left_out(key: str, model: type[Message]) -> None:
     ring = Ring(KEYS)
     longest = bytes(model.max_bytes)
     ring.observe(key, longest)

@@ -65,7 +65,7 @@ def test_what_the_planner_answers_goes_before_what_it_published() -> None:
     assert bench.machine.scene == NEXT
 
 
-def test_a_publication_that_comes_while_the_planner_answers_is_not_undone() -> None:
+def test_a_publication_during_the_answer_is_not_undone() -> None:
     bench = Bench()
 
     def answer() -> SceneEdited:
@@ -96,7 +96,7 @@ def test_a_goal_that_is_held_goes_on_in_its_own_scene_alone() -> None:
     assert bench.last().status == "succeeded"
 
 
-def test_a_resume_of_what_is_not_held_is_no_error_whatever_the_scene() -> None:
+def test_resuming_what_is_not_held_is_no_error() -> None:
     bench = Bench()
     bench.machine.resume(arrival(), NEXT)
     bench.execute(scene=SCENE)
@@ -105,7 +105,7 @@ def test_a_resume_of_what_is_not_held_is_no_error_whatever_the_scene() -> None:
     assert bench.last().status == "succeeded"
 
 
-def test_the_state_says_when_the_scene_is_no_longer_that_of_the_goal() -> None:
+def test_the_state_says_when_the_scene_is_not_the_goal_s() -> None:
     bench = Bench()
     bench.machine.scene = SCENE
     assert not bench.machine.state().scene_changed

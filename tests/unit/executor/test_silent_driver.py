@@ -45,9 +45,7 @@ def silent_for(bench: DriverBench, seconds: float) -> None:
 @pytest.mark.lengthy
 @pytest.mark.parametrize("after", sampled(0.9, 0.05, 1.7))
 @pytest.mark.parametrize("seconds", sampled(0.8, 0.35))
-def test_a_gap_in_the_joint_states_holds_the_motion_which_goes_on_to_the_goal_by_itself(
-    bench: DriverBench, after: float, seconds: float
-) -> None:
+def test_a_gap_in_joint_states_holds_and_resumes_the_motion(bench: DriverBench, after: float, seconds: float) -> None:
     path = bench.execute(timed=trapezoid)
     bench.run(after)
     silent_for(bench, seconds)
@@ -72,7 +70,7 @@ def test_several_gaps_in_one_motion_are_held(bench: DriverBench) -> None:
     np.testing.assert_allclose(bench.arm.position, FAR, atol=0.005)
 
 
-def test_a_longer_gap_is_a_fault_and_nothing_moves_when_the_joints_are_back(bench: DriverBench) -> None:
+def test_a_longer_gap_is_a_fault_and_nothing_moves_after_it(bench: DriverBench) -> None:
     bench.execute()
     bench.run(0.9)
     silent_for(bench, given_up_after(bench) + 0.05)
@@ -101,7 +99,7 @@ def test_a_goal_that_is_cancelled_in_a_gap_does_not_go_on(bench: DriverBench) ->
     assert np.max(np.abs(bench.arm.position - FAR)) > 0.05
 
 
-def test_a_goal_that_is_paused_in_a_gap_is_held_until_it_is_resumed(bench: DriverBench) -> None:
+def test_a_goal_paused_in_a_gap_is_held_until_resumed(bench: DriverBench) -> None:
     bench.execute()
     bench.run(0.9)
     bench.silent = True
@@ -118,7 +116,7 @@ def test_a_goal_that_is_paused_in_a_gap_is_held_until_it_is_resumed(bench: Drive
 
 
 @pytest.mark.lengthy
-def test_a_paused_goal_goes_on_after_a_gap_only_when_it_is_resumed(bench: DriverBench) -> None:
+def test_a_paused_goal_needs_a_resume_after_a_gap(bench: DriverBench) -> None:
     bench.execute()
     bench.run(0.9)
     bench.machine.pause(arrival())
@@ -144,9 +142,7 @@ def test_an_arm_at_its_goal_is_not_moved_back_there_after_a_gap(bench: DriverBen
 
 
 @pytest.mark.parametrize("seconds", sampled(0.9, 0.35))
-def test_an_executor_that_stood_still_beside_a_silent_driver_goes_on_to_the_goal(
-    bench: DriverBench, seconds: float
-) -> None:
+def test_a_stall_beside_a_silent_driver_still_reaches_the_goal(bench: DriverBench, seconds: float) -> None:
     bench.execute()
     bench.run(0.9)
     bench.silent = True

@@ -51,7 +51,7 @@ def stalled_for(folder: Folder, case: Case, after: float, seconds: float, rate: 
     seconds=st.one_of(st.floats(0.2, 1.5), st.floats(1.5, 12.0)),
     rate=st.sampled_from([100.0, 250.0]),
 )
-def test_a_stall_at_any_moment_leaves_the_arm_on_its_path_gently_and_at_rest(
+def test_a_stall_at_any_moment_leaves_the_arm_on_its_path(
     tmp_path_factory: pytest.TempPathFactory, case: Case, after: float, seconds: float, rate: float
 ) -> None:
     bench = stalled_for(tmp_path_factory.mktemp("stall"), case, after, seconds, rate)
@@ -75,7 +75,7 @@ def command(based_on: float, expires_after: float = 0.1) -> DriverCommand:
     )
 
 
-def test_a_command_may_be_begun_until_it_expires_and_a_stop_always() -> None:
+def test_a_command_expires_and_a_stop_never_does() -> None:
     expiry = Expiry()
     expiry.report(1000.0, 5.0)
     expiry.report(1000.01, 5.01)

@@ -68,7 +68,7 @@ def test_it_reaches_the_goal_inside_the_limits(bench: DriverBench) -> None:
 @at_every_rate
 @pytest.mark.parametrize("phase", sampled(0.009, 0.0))
 @pytest.mark.parametrize("after", sampled(0.7, 0.05, 1.5, 2.3))
-def test_a_stop_decelerates_inside_the_limits_and_the_robot_rests_on_the_path(bench: DriverBench, after: float) -> None:
+def test_a_stop_decelerates_within_limits_on_the_path(bench: DriverBench, after: float) -> None:
     path = bench.execute()
     bench.run(after)
     bench.machine.cancel(None, "enough", arrival())
@@ -101,9 +101,7 @@ def test_a_paused_goal_is_held_and_goes_on_to_its_end(bench: DriverBench, after:
 @pytest.mark.lengthy
 @pytest.mark.parametrize("ticks", sampled(1, 0, *range(2, 8), 40))
 @pytest.mark.parametrize("command", ["pause", "slower", "cancel"])
-def test_a_command_just_after_the_start_of_a_planned_motion_is_carried_out(
-    bench: DriverBench, ticks: int, command: str
-) -> None:
+def test_a_command_just_after_the_start_is_carried_out(bench: DriverBench, ticks: int, command: str) -> None:
     bench.execute(HOME + (FAR - HOME) / 4, timed=trapezoid)
     bench.run(ticks * bench.period)
     if command == "pause":
@@ -126,9 +124,7 @@ def test_a_command_just_after_the_start_of_a_planned_motion_is_carried_out(
 @pytest.mark.lengthy
 @at_every_phase
 @pytest.mark.parametrize("changes", sampled([0.6, 0.05, 1.0], [0.3], [0.5, 1.0], [0.9, 0.8, 0.7, 0.6]), ids=str)
-def test_the_speed_changes_in_motion_inside_the_limits_and_the_goal_is_reached(
-    bench: DriverBench, changes: list[float]
-) -> None:
+def test_speed_changes_within_limits_and_reaches_the_goal(bench: DriverBench, changes: list[float]) -> None:
     path = bench.execute()
     bench.run(0.6)
     for scale in changes:
@@ -144,7 +140,7 @@ def test_the_speed_changes_in_motion_inside_the_limits_and_the_goal_is_reached(
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize("scale", sampled(0.4, 0.05))
-def test_at_a_lower_speed_a_goal_is_held_goes_on_and_is_not_overdue(bench: DriverBench, scale: float) -> None:
+def test_at_lower_speed_a_goal_is_held_and_not_overdue(bench: DriverBench, scale: float) -> None:
     bench.machine.set_speed(scale)
     path = bench.execute()
     bench.run(0.48 / scale)
@@ -174,9 +170,7 @@ def test_a_goal_at_the_slowest_speed_is_cancelled_at_once(bench: DriverBench) ->
 @pytest.mark.lengthy
 @at_every_phase
 @pytest.mark.parametrize("share", sampled(0.5, 0.3, 0.8))
-def test_it_rests_before_the_end_of_its_authority_and_goes_on_to_its_end_when_that_is_extended(
-    bench: DriverBench, share: float
-) -> None:
+def test_it_rests_before_its_authority_ends_and_goes_on_later(bench: DriverBench, share: float) -> None:
     path = bench.execute()
     until = share * path.duration
     for sequence in range(1, round((path.duration + 2.0) / 0.1)):
@@ -197,7 +191,7 @@ def test_it_rests_before_the_end_of_its_authority_and_goes_on_to_its_end_when_th
 
 
 @pytest.mark.lengthy
-def test_a_goal_that_reaches_its_end_where_it_could_not_stop_any_more_is_over(bench: DriverBench) -> None:
+def test_a_goal_that_cannot_stop_before_its_end_is_over(bench: DriverBench) -> None:
     path = bench.execute(timed=trapezoid)  # which brakes to its end at the limits
     bench.run(path.duration - 0.2)
     bench.machine.receive(Authority(servo="servo", sequence=1, goal_id="goal", until=0.5 * path.duration), bench.now)
@@ -222,7 +216,7 @@ def test_it_goes_on_while_it_still_brakes_for_a_pause(bench: DriverBench) -> Non
 
 
 @pytest.mark.lengthy
-def test_a_goal_cancelled_as_soon_as_it_goes_on_again_ends_at_rest_without_a_fault(bench: DriverBench) -> None:
+def test_a_goal_cancelled_on_resuming_rests_without_a_fault(bench: DriverBench) -> None:
     bench.execute()
     bench.run(0.7)
     bench.machine.pause(arrival())
@@ -259,9 +253,7 @@ TELLS = Case("joint_trajectory")
 
 
 @pytest.mark.parametrize("lost_from", [0.97, 0.999])
-def test_a_robot_that_rests_at_its_goal_has_reached_it_though_its_driver_has_not_told_so(
-    tmp_path: Folder, lost_from: float
-) -> None:
+def test_at_the_goal_it_succeeds_without_driver_progress(tmp_path: Folder, lost_from: float) -> None:
     bench = DriverBench(TELLS, tmp_path)
     bench.progress.lost_from = lost_from
     bench.execute()
@@ -271,7 +263,7 @@ def test_a_robot_that_rests_at_its_goal_has_reached_it_though_its_driver_has_not
     np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.005)
 
 
-def test_a_robot_that_stands_where_its_path_comes_by_again_has_not_reached_its_goal(tmp_path: Folder) -> None:
+def test_where_its_path_crosses_itself_the_goal_is_not_reached(tmp_path: Folder) -> None:
     bench = DriverBench(TELLS, tmp_path)
     there, back = rest_to_rest(FAR), rest_to_rest(HOME, FAR)
     there_and_back = Trajectory(
@@ -309,7 +301,7 @@ def test_a_switch_in_motion_brings_the_robot_to_rest_first(bench: DriverBench) -
 
 
 @pytest.mark.lengthy
-def test_a_driver_strategy_that_cannot_open_leaves_the_former_one_active(tmp_path: Folder) -> None:
+def test_a_driver_strategy_that_cannot_open_keeps_the_old_one(tmp_path: Folder) -> None:
     for number, case in enumerate(MOVING[1:]):
         bench = DriverBench(case, tmp_path / str(number))
         bench.switch("emulator")
@@ -327,7 +319,7 @@ def test_a_driver_strategy_that_cannot_open_leaves_the_former_one_active(tmp_pat
 
 @at_every_rate
 @pytest.mark.parametrize("after", sampled(0.7, 0.02, 1.5, 2.38))
-def test_a_control_loop_that_was_away_in_motion_ends_in_fault_at_rest(bench: DriverBench, after: float) -> None:
+def test_a_loop_away_in_motion_ends_in_fault_at_rest(bench: DriverBench, after: float) -> None:
     bench.execute()
     bench.run(after)
     bench.freeze(STALL_LIMIT + 0.5)
@@ -354,9 +346,7 @@ def test_a_robot_that_stands_is_not_moved_in_order_to_brake(case: Case, tmp_path
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize("case", MOVING[1:], ids=str)
-def test_a_robot_that_does_not_stop_ends_in_fault_and_is_told_to_stop_until_it_does(
-    case: Case, tmp_path: Folder
-) -> None:
+def test_a_robot_that_does_not_stop_is_stopped_until_it_does(case: Case, tmp_path: Folder) -> None:
     bench = DriverBench(case, tmp_path)
     bench.execute()
     bench.run(1.0)
@@ -393,9 +383,7 @@ STEERABLE = MOVING[:3]
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize("case", STEERABLE, ids=str)
-def test_a_streamed_target_is_followed_inside_the_limits_and_a_late_client_ends_at_rest(
-    case: Case, tmp_path: Folder
-) -> None:
+def test_a_streamed_target_is_followed_within_limits(case: Case, tmp_path: Folder) -> None:
     bench = DriverBench(case, tmp_path)
     time = bench.stream(3.0)
     lag = 0.0 if case.strategy == "emulator" else 0.06
@@ -421,7 +409,7 @@ def test_a_streamed_target_is_followed_inside_the_limits_and_a_late_client_ends_
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize("case", STEERABLE, ids=str)
-def test_a_stream_is_held_slowed_and_switched_away_from_like_any_goal(case: Case, tmp_path: Folder) -> None:
+def test_a_stream_is_held_slowed_and_switched_like_any_goal(case: Case, tmp_path: Folder) -> None:
     bench = DriverBench(case, tmp_path)
     bench.stream(1.0)
     bench.machine.set_speed(0.3)
@@ -438,14 +426,14 @@ def test_a_stream_is_held_slowed_and_switched_away_from_like_any_goal(case: Case
 
 
 @pytest.mark.parametrize("case", MOVING[3:], ids=str)
-def test_a_strategy_that_hands_motions_over_as_a_whole_refuses_a_stream(case: Case, tmp_path: Folder) -> None:
+def test_a_strategy_of_whole_motions_refuses_a_stream(case: Case, tmp_path: Folder) -> None:
     bench = DriverBench(case, tmp_path)
     with pytest.raises(Unavailable, match="switch to another strategy"):
         bench.stream(0.05)
     assert bench.machine.state().mode == "idle"
 
 
-def test_a_driver_that_cannot_play_a_strategy_rules_it_out_with_the_reason(tmp_path: Folder) -> None:
+def test_a_strategy_the_driver_cannot_play_is_unavailable(tmp_path: Folder) -> None:
     bench = DriverBench(Case("emulator", params=(("strategies", ("joint_speed", "joint_trajectory")),)), tmp_path)
     infos = {info.name: info for info in bench.registry.describe()}
     assert infos["joint_speed"].available
@@ -479,7 +467,7 @@ def test_a_new_strategy_is_a_module_and_a_line_in_the_list(tmp_path: Folder, mon
 
 
 @pytest.mark.parametrize("case", MOVING[1:], ids=str)
-def test_a_driver_whose_joint_states_wrap_is_followed_over_the_wrap_and_back(case: Case, tmp_path: Folder) -> None:
+def test_joint_states_that_wrap_are_followed_both_ways(case: Case, tmp_path: Folder) -> None:
     bench = DriverBench(case, tmp_path, wraps=True)
     beyond = np.array([*HOME[:5], 4.0])
     bench.execute(beyond)
@@ -495,9 +483,7 @@ def test_a_driver_whose_joint_states_wrap_is_followed_over_the_wrap_and_back(cas
 
 
 @pytest.mark.parametrize("case", MOVING[1:], ids=str)
-def test_an_executor_that_starts_beyond_the_wrap_moves_on_from_what_the_driver_reports(
-    case: Case, tmp_path: Folder
-) -> None:
+def test_an_executor_started_beyond_the_wrap_moves_on(case: Case, tmp_path: Folder) -> None:
     bench = DriverBench(case, tmp_path, wraps=True, start=np.array([*HOME[:5], 15.0]))
     bench.run(0.1)
     here = bench.positions[-1]

@@ -35,7 +35,7 @@ def follow(bench: Bench, seconds: float, *, first: int = 1) -> int:
     return sequence
 
 
-def test_chunks_are_followed_without_a_jump_and_the_last_one_succeeds(bench: Bench) -> None:
+def test_chunks_are_followed_without_a_jump_and_succeed(bench: Bench) -> None:
     sequence = follow(bench, 3.0)
     assert bench.machine.state().mode == "running"
     assert bench.arm.exact.position[0] - HOME[0] == pytest.approx(target(bench.arm.follower.time)[0], abs=1e-3)
@@ -52,7 +52,7 @@ def test_chunks_are_followed_without_a_jump_and_the_last_one_succeeds(bench: Ben
     assert bench.machine.sequence("stream-1") is None
 
 
-def test_a_late_chunk_ends_the_goal_at_the_next_tick_and_is_no_fault(bench: Bench) -> None:
+def test_a_late_chunk_ends_the_goal_without_a_fault(bench: Bench) -> None:
     sequence = follow(bench, 1.0)
     while bench.machine.state().mode == "running":
         bench.tick()
@@ -74,7 +74,7 @@ def test_a_late_chunk_ends_the_goal_at_the_next_tick_and_is_no_fault(bench: Benc
     bench.machine.admit()
 
 
-def test_a_chunk_out_of_reach_changes_nothing_until_the_client_is_told(bench: Bench) -> None:
+def test_an_unreachable_chunk_changes_nothing_and_is_reported(bench: Bench) -> None:
     sequence = follow(bench, 1.0)
     path = bench.arm.follower.trajectory
     with pytest.raises(ExecutionRefused):
@@ -109,7 +109,7 @@ def test_the_time_of_a_stream_runs_as_the_robot_moves(bench: Bench) -> None:
     assert state.progress * state.duration == pytest.approx(bench.arm.follower.time)
 
 
-def test_while_a_stream_runs_nothing_else_does_and_its_chunks_alone_lead_it(bench: Bench) -> None:
+def test_a_stream_runs_alone_and_follows_its_own_chunks(bench: Bench) -> None:
     follow(bench, 0.5)
     with pytest.raises(Busy, match="stream-1"):
         bench.machine.admit()
@@ -118,7 +118,7 @@ def test_while_a_stream_runs_nothing_else_does_and_its_chunks_alone_lead_it(benc
     assert bench.arm.follower.trajectory is path
 
 
-def test_a_client_that_is_slower_than_its_chunks_are_long_has_a_robot_that_rests_and_goes_on(bench: Bench) -> None:
+def test_a_client_slower_than_its_chunks_rests_and_goes_on(bench: Bench) -> None:
     bench.stream(chunk(0.0, 0.1, 0.5), deadline=1.0)
     while not bench.arm.follower.finished:
         bench.tick()

@@ -52,7 +52,7 @@ STATES = ["idle", "running", "pausing", "paused", "stopping", "stream", "fault"]
 
 
 @pytest.mark.parametrize("state", STATES)
-def test_in_every_state_the_robot_rests_first_and_then_the_new_strategy_has_it(state: str) -> None:
+def test_in_every_state_a_switch_rests_the_robot_first(state: str) -> None:
     bench, other = prepare(state), Other()
     switch(bench, other)
     assert bench.machine.state().strategy == "other"
@@ -71,7 +71,7 @@ def test_in_every_state_the_robot_rests_first_and_then_the_new_strategy_has_it(s
 
 
 @pytest.mark.parametrize("state", STATES)
-def test_in_every_state_a_strategy_that_cannot_open_leaves_the_former_one_active(state: str) -> None:
+def test_in_every_state_a_failed_switch_keeps_the_old_strategy(state: str) -> None:
     bench, other = prepare(state), Other()
     other.failure = Unavailable("there is no such driver")
     with pytest.raises(Unavailable, match=r"other cannot start: there is no such driver; arm is active again"):
@@ -81,7 +81,7 @@ def test_in_every_state_a_strategy_that_cannot_open_leaves_the_former_one_active
     assert bench.machine.state().mode == ("fault" if state == "fault" else "idle")
 
 
-def test_where_the_former_strategy_cannot_open_again_either_that_is_a_fault_which_a_reset_mends() -> None:
+def test_if_neither_strategy_opens_a_reset_clears_the_fault() -> None:
     bench, other = Bench(), Other()
     other.failure, bench.arm.failure = Unavailable("no driver"), Unavailable("the disk is full")
     with pytest.raises(Unavailable, match=r"no driver; and arm cannot start again: the disk is full; .*executor/reset"):
@@ -101,7 +101,7 @@ def test_where_the_former_strategy_cannot_open_again_either_that_is_a_fault_whic
     assert bench.last().status == "succeeded"
 
 
-def test_out_of_that_fault_a_switch_to_a_strategy_that_opens_leads_too() -> None:
+def test_if_neither_strategy_opens_a_switch_clears_the_fault() -> None:
     bench, other = Bench(), Other()
     other.failure, bench.arm.failure = Unavailable("no driver"), Unavailable("the disk is full")
     with pytest.raises(Unavailable):
@@ -115,7 +115,7 @@ def test_out_of_that_fault_a_switch_to_a_strategy_that_opens_leads_too() -> None
     assert not other.is_open
 
 
-def test_a_robot_that_cannot_be_stopped_is_in_fault_under_the_strategy_switched_to() -> None:
+def test_a_robot_that_cannot_stop_is_in_fault_after_a_switch() -> None:
     bench, other = prepare("running"), Other()
     bench.machine.set_speed(0.05)
     bench.run(0.1)
@@ -126,7 +126,7 @@ def test_a_robot_that_cannot_be_stopped_is_in_fault_under_the_strategy_switched_
     assert "could not be stopped" in state.problem.message
 
 
-def test_of_two_switches_at_once_the_second_is_busy_and_nothing_starts_in_between() -> None:
+def test_of_two_switches_the_second_is_busy() -> None:
     bench, other, third = prepare("running"), Other(), Other()
     with ThreadPoolExecutor(1) as pool:
         first = pool.submit(bench.machine.switch, other, PATIENCE, arrival())
@@ -143,7 +143,7 @@ def test_of_two_switches_at_once_the_second_is_busy_and_nothing_starts_in_betwee
     assert third.calls == []
 
 
-def test_a_goal_that_waits_to_preempt_another_does_not_start_after_a_switch() -> None:
+def test_a_goal_waiting_to_preempt_does_not_start_after_a_switch() -> None:
     bench, other = prepare("running"), Other()
     stops = arrival()
     with ThreadPoolExecutor(1) as pool:

@@ -16,13 +16,13 @@ def clock() -> TickClock:
     return made
 
 
-def test_a_motion_that_begins_between_two_ticks_has_moved_since_then(clock: TickClock) -> None:
+def test_a_motion_begun_between_ticks_has_moved_since(clock: TickClock) -> None:
     clock.begin(100.017)
     assert clock.advance(100.02) == pytest.approx(0.003)
     assert clock.advance(100.03) == pytest.approx(0.01)
 
 
-def test_a_motion_that_has_begun_a_little_before_its_command_is_caught_up_and_no_tick_is_missed(
+def test_an_early_beginning_is_caught_up_without_a_missed_tick(
     clock: TickClock,
 ) -> None:
     clock.begin(99.97)

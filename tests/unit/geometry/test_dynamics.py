@@ -69,7 +69,7 @@ def known(model: RobotModel) -> Dynamics:
 
 
 @pytest.mark.parametrize("robot", ["ur5e", "ur10e", "panda"])
-def test_the_torques_of_a_motion_are_those_of_an_independent_library(robot: str) -> None:
+def test_torques_are_those_of_pinocchio(robot: str) -> None:
     model = RobotModel.of(load_robot(robot))
     peer = Peer(model)
     for q, v, a in motions(model):
@@ -87,7 +87,7 @@ def test_what_is_carried_counts_with_its_mass() -> None:
     assert np.array_equal(known(weightless).torque([q], [v], [a]), known(model).torque([q], [v], [a]))
 
 
-def test_a_group_needs_the_torques_of_all_joints_while_the_others_stand(tmp_path: Path) -> None:
+def test_a_group_bears_all_joints_while_the_others_stand(tmp_path: Path) -> None:
     whole = RobotModel.of(load_robot(str(two_pandas(tmp_path))))
     q, v, a = motions(whole, 1)[0]
     group = whole.group(["left"], q)

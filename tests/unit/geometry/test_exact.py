@@ -182,7 +182,7 @@ def test_moving_links_meet_the_fixed_base(model: RobotModel) -> None:
     assert nearest.pair[1] == "stand"
 
 
-def test_neighbours_that_may_touch_and_links_of_one_body_are_left_out(model: RobotModel) -> None:
+def test_adjacent_and_rigidly_joined_links_are_left_out(model: RobotModel) -> None:
     """Fore arm, its cover and the rod overlap in every configuration."""
     assert scene_of(model, []).nearest(FREE).distance > 0.0
 
@@ -216,7 +216,7 @@ def test_a_motion_has_the_clearance_of_its_nearest_configuration(model: RobotMod
         assert found.distance == pytest.approx(min(singly), abs=2e-5)
 
 
-def test_exact_geometry_counts_where_the_spheres_of_a_descriptor_leave_it_out(tmp_path: Path) -> None:
+def test_exact_geometry_counts_where_spheres_leave_it_out(tmp_path: Path) -> None:
     robot = small_arm(tmp_path)
     dots = {
         link: tuple(ball.model_copy(update={"radius": 1e-3}) for ball in balls)
@@ -242,9 +242,7 @@ def panda() -> RobotModel:
 
 @examples(0.2)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_along_a_motion_the_links_of_an_arm_are_as_near_to_each_other_as_at_the_nearest_configuration(
-    panda: RobotModel, seed: int
-) -> None:
+def test_self_distance_along_a_motion_is_its_least(panda: RobotModel, seed: int) -> None:
     """Joints on the way turn both links about axes that may pass through either: what moves how far is the point of this."""
     rng = np.random.default_rng(seed)
     start, end = rng.uniform(panda.lower, panda.upper, (2, panda.dof))
@@ -289,7 +287,7 @@ def measured(model: RobotModel, motion: Array, objects: Sequence[SceneObject]) -
 
 @examples(0.1)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_a_motion_is_never_said_to_keep_further_away_than_fcl_measures_anywhere(model: RobotModel, seed: int) -> None:
+def test_motion_distance_is_never_more_than_fcl_measures(model: RobotModel, seed: int) -> None:
     """Every two shapes at every configuration, none left out by a bound; coarse motions too, which leave nothing to luck."""
     rng = np.random.default_rng(seed)
     objects = [scene_object(rng, i) for i in range(4)]

@@ -111,9 +111,7 @@ def apart(there: fcl.CollisionObject, geometry: object, place: fcl.Transform) ->
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize("part", sampled(*PARTS))
-def test_a_configuration_is_free_exactly_when_fcl_measures_the_margin_at_every_sphere(
-    tmp_path: Path, model: RobotModel, part: str
-) -> None:
+def test_the_sphere_check_agrees_with_fcl_at_the_margin(tmp_path: Path, model: RobotModel, part: str) -> None:
     margin = 0.02
     world, there = placed(PARTS[part](), tmp_path, margin)
     joints = random_joints(model, 25, np.random.default_rng(3))
@@ -155,7 +153,7 @@ def test_a_motion_is_as_near_to_a_fine_mesh_as_fcl_measures(tmp_path: Path, mode
     assert measured > 3
 
 
-def test_the_boxes_of_an_object_that_was_moved_contain_its_shapes_there_and_are_no_larger() -> None:
+def test_boxes_of_a_moved_object_contain_it_tightly() -> None:
     rng = np.random.default_rng(4)
     cells = tuple(map(tuple, rng.integers(-9, 9, (200, 3)).tolist()))
     triangles = rows.triangles(rng.normal(size=(300, 1, 3)) + 0.1 * rng.normal(size=(300, 3, 3)))

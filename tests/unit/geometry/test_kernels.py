@@ -59,7 +59,7 @@ def fcl_object(item: SceneObject) -> fcl.CollisionObject:
 
 
 @pytest.mark.parametrize("kind", ["cuboid", "sphere", "capsule", "cylinder"])
-def test_the_distances_that_kernels_are_held_against_are_those_of_fcl(kind: str) -> None:
+def test_the_reference_distances_are_those_of_fcl(kind: str) -> None:
     rng = np.random.default_rng(0)
     for number in range(20):
         item = random_object(kind, f"thing{number}", rng.normal(size=3), 0.5, rng)
@@ -118,7 +118,7 @@ def test_links_on_the_base_meet_other_links_but_no_objects(arm: RobotModel) -> N
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize("count", sampled(15, 3))
-def test_a_free_edge_is_nowhere_deeper_in_an_object_than_half_the_resolution(model: RobotModel, count: int) -> None:
+def test_a_free_edge_penetrates_at_most_half_the_resolution(model: RobotModel, count: int) -> None:
     rng, samples = np.random.default_rng(count), 100
     free = blocked = 0
     for _ in range(4):
@@ -137,7 +137,7 @@ def test_a_free_edge_is_nowhere_deeper_in_an_object_than_half_the_resolution(mod
     assert min(free, blocked) > 3
 
 
-def test_what_an_edge_check_may_miss_is_within_the_default_margin() -> None:
+def test_what_an_edge_check_misses_is_within_the_margin() -> None:
     assert PlannerSettings().margin >= RESOLUTION / 2
 
 

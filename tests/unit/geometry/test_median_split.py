@@ -22,7 +22,7 @@ def _points(kind: str, count: int) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("kind", ["random", "grid", "equal"])
 @pytest.mark.parametrize("count", [0, 1, 4, 5, 63, 64, 65, 3000])
-def test_every_point_is_there_once_and_a_plane_parts_the_halves_of_every_node(kind: str, count: int) -> None:
+def test_every_point_is_kept_and_a_plane_parts_each_node(kind: str, count: int) -> None:
     points = _points(kind, count)
     order = median_split(points, BRANCHES)
     assert sorted(order.tolist()) == list(range(count))

@@ -60,7 +60,7 @@ def test_of_a_mesh_only_its_shapes_stay_in_memory(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("robot", ["panda", "doosan_m1013"])
-def test_exact_distances_to_a_mesh_are_those_of_fcl_to_the_whole_of_it(tmp_path: Path, robot: str) -> None:
+def test_distances_to_a_mesh_are_those_of_fcl(tmp_path: Path, robot: str) -> None:
     model = RobotModel.of(load_robot(robot))
     shape = trimesh.creation.torus(0.15, 0.05, major_sections=16, minor_sections=8)
     meshes = Meshes((tmp_path,))
@@ -93,9 +93,7 @@ def test_exact_distances_to_a_mesh_are_those_of_fcl_to_the_whole_of_it(tmp_path:
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize(("suffix", "closed"), [("stl", True), ("obj", False)])
-def test_a_configuration_is_free_exactly_when_no_sphere_touches_the_mesh(
-    tmp_path: Path, suffix: str, closed: bool
-) -> None:
+def test_free_means_that_no_sphere_touches_the_mesh(tmp_path: Path, suffix: str, closed: bool) -> None:
     rng, model = np.random.default_rng(3), RobotModel.of(load_robot("panda"))
     shape = trimesh.creation.torus(0.15, 0.05, major_sections=16, minor_sections=8)
     if not closed:
@@ -169,7 +167,7 @@ def test_the_inside_of_a_closed_mesh_is_filled_and_nothing_else(tmp_path: Path, 
     assert filled.any()
 
 
-def test_what_would_take_too_many_cells_is_filled_with_larger_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_cells_are_replaced_by_larger_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     shape = SHAPES["ball"]()
     fine = solid.inside(np.asarray(shape.triangles))
     monkeypatch.setattr(solid, "_PAIRS", 5000)
@@ -178,7 +176,7 @@ def test_what_would_take_too_many_cells_is_filled_with_larger_ones(monkeypatch: 
     assert np.all(np.linalg.norm(np.maximum(abs(lower), abs(upper)), axis=1) < 0.4)
 
 
-def test_a_robot_link_cannot_hide_inside_a_closed_mesh_but_inside_an_open_one(tmp_path: Path) -> None:
+def test_a_closed_mesh_is_solid_and_an_open_one_a_surface(tmp_path: Path) -> None:
     model = RobotModel.of(load_robot("panda"))
     q = np.array(load_robot("panda").descriptor.home)
     x, y, z = np.min([centers.min(axis=(0, 1)) for centers, _ in spheres(model, q[None])], axis=0).tolist()
@@ -202,7 +200,7 @@ def with_faults(shape: trimesh.Trimesh, hole: float) -> trimesh.Trimesh:
 
 
 @pytest.mark.lengthy
-def test_small_faults_of_a_mesh_are_mended_and_said_and_of_an_open_one_only_the_surface_counts(tmp_path: Path) -> None:
+def test_small_mesh_faults_are_repaired_and_reported(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(4, 0.05)
     saved(ball, tmp_path / "whole.stl")
     saved(with_faults(ball, 0.003), tmp_path / "broken.stl")
@@ -260,7 +258,7 @@ FILES = {
         ("/etc/hostname.stl", "check the name"),
     ],
 )
-def test_a_file_that_cannot_be_used_is_refused_with_field_and_remedy(tmp_path: Path, file: str, says: str) -> None:
+def test_an_unusable_file_is_refused_by_field_with_the_remedy(tmp_path: Path, file: str, says: str) -> None:
     home = tmp_path / "meshes"
     (home / "deep").mkdir(parents=True)
     saved(trimesh.creation.box(), tmp_path / "secret.stl")
@@ -301,7 +299,7 @@ def test_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize("flipped", [False, True])
-def test_triangles_that_are_there_twice_leave_a_mesh_closed_and_are_said(tmp_path: Path, flipped: bool) -> None:
+def test_duplicate_triangles_leave_a_mesh_closed(tmp_path: Path, flipped: bool) -> None:
     box = trimesh.creation.box((0.3, 0.3, 0.3))
     again = box.faces[:3, ::-1] if flipped else box.faces[:3]
     saved(trimesh.Trimesh(box.vertices, np.vstack([box.faces, again]), process=False), tmp_path / "box.stl")
@@ -311,7 +309,7 @@ def test_triangles_that_are_there_twice_leave_a_mesh_closed_and_are_said(tmp_pat
     assert meshes.notes(item) == ("vice: triangles that were there more than once were taken once",)
 
 
-def test_single_triangles_without_area_are_dropped_and_the_rest_stays_closed(tmp_path: Path) -> None:
+def test_degenerate_triangles_are_dropped(tmp_path: Path) -> None:
     box = trimesh.creation.box()
     box.faces = np.concatenate([box.faces, [[0, 0, 1], [2, 2, 2]]])
     (tmp_path / "box.obj").write_text(
@@ -343,7 +341,7 @@ def test_the_scene_keeps_which_file_it_was(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("change", ["gone", "changed", "broken"])
-def test_no_world_is_made_while_a_mesh_of_the_scene_cannot_be_read(tmp_path: Path, change: str) -> None:
+def test_no_world_is_made_with_an_unreadable_mesh(tmp_path: Path, change: str) -> None:
     path = saved(trimesh.creation.box(), tmp_path / "box.stl")
     content = path.read_bytes()
     SceneStore(tmp_path / "state", Meshes((tmp_path,))).edit(add(mesh("box.stl")))
@@ -359,7 +357,7 @@ def test_no_world_is_made_while_a_mesh_of_the_scene_cannot_be_read(tmp_path: Pat
     assert store.edit(SceneEdit(edit=ClearScene(op="clear"))).objects == ()
 
 
-def test_a_world_takes_over_what_an_earlier_one_has_made_ready_of_the_same_mesh_and_of_no_other(tmp_path: Path) -> None:
+def test_a_world_reuses_prepared_meshes(tmp_path: Path) -> None:
     meshes = Meshes((tmp_path,))
     item = meshes.checked(mesh(saved(trimesh.creation.icosphere(2, 0.1), tmp_path / "ball.stl").name), "")
     before = World((item,), 0.0, meshes)

@@ -87,7 +87,7 @@ def thing(rng: np.random.Generator, index: int) -> SceneObject:
 @pytest.mark.parametrize("robot", ["doosan_m1013", "panda", "ur5e", "small_arm", "torso_arms"])
 @examples(1.0)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_what_is_called_free_keeps_the_margin_by_a_dense_exact_check(robot: str, seed: int) -> None:
+def test_free_motions_keep_the_margin_by_a_dense_check(robot: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     arm = model(robot)
     objects = [thing(rng, i) for i in range(rng.integers(0, 12))]
@@ -135,7 +135,7 @@ def test_what_moves_is_everywhere_that_it_may_be(seed: int) -> None:
         assert end == 0.0 or near.distance >= MARGIN - PRECISION
 
 
-def test_links_that_are_near_to_each_other_everywhere_keep_what_they_can_of_a_margin_and_are_told_apart() -> None:
+def test_close_links_keep_the_margin_they_can() -> None:
     check = MotionCheck(model("doosan_m1013"))
     assert check.check(TIMES, TURN, margin=0.05).free
     nearest = check.nearby(HOME, within=0.05)[0]
@@ -159,7 +159,7 @@ def in_the_way(name: str, at: float) -> Sphere:
     return Sphere(kind="sphere", name=name, position=tuple(tip.tolist()), radius=0.03)
 
 
-def test_a_verdict_names_the_object_the_link_and_the_time_before_contact() -> None:
+def test_a_verdict_names_object_link_and_time_before_contact() -> None:
     check = MotionCheck(model("doosan_m1013"))
     check.set_world(World([in_the_way("post", 0.5)], 0.0))
     verdict = check.check(TIMES, TURN, margin=MARGIN, acceleration=FAST)
@@ -271,7 +271,7 @@ def test_what_is_nearby_is_as_far_as_the_exact_check_says(robot: str, seed: int)
 
 
 @pytest.mark.parametrize("robot", ["doosan_m1013", "small_arm", "torso_arms"])
-def test_each_joint_changes_the_distance_of_what_is_nearby_as_its_gradient_says(robot: str) -> None:
+def test_distance_gradients_match_finite_differences(robot: str) -> None:
     """Against difference quotients. Where two parts of a link are as near as each other, or a face lies along another,
     there is no derivative: of all pairs those are one in a hundred."""
     arm, step, errors = model(robot), 1e-3, []
@@ -291,7 +291,7 @@ def test_each_joint_changes_the_distance_of_what_is_nearby_as_its_gradient_says(
     assert np.quantile(errors, 0.98) < 0.003  # m/rad
 
 
-def test_what_lies_along_a_link_counts_at_the_middle_of_what_they_share() -> None:
+def test_an_object_along_a_link_counts_at_the_shared_middle() -> None:
     """A capsule, level above a block that begins under its second half: either end of what they share may come down."""
     arm = model("small_arm")
     q = np.array([0.0, np.pi / 2, 0.0, 0.0])

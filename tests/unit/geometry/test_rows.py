@@ -67,7 +67,7 @@ def test_the_distance_to_a_triangle_is_that_of_trimesh() -> None:
         np.testing.assert_allclose(rows.distances(points, triangle)[:, 0], expected, atol=1e-6)
 
 
-def test_distances_to_other_shapes_are_those_of_the_objects_and_below_zero_inside() -> None:
+def test_distances_to_shapes_are_signed() -> None:
     rng = np.random.default_rng(7)
     objects = random_objects(40, 0.4, rng)
     points = rng.uniform(-1.2, 1.2, (30, 3))
@@ -78,7 +78,7 @@ def test_distances_to_other_shapes_are_those_of_the_objects_and_below_zero_insid
     assert np.any(found < 0.0)
 
 
-def test_a_row_gives_back_the_corners_of_its_triangle_wherever_it_is_placed() -> None:
+def test_a_packed_triangle_gives_back_its_corners() -> None:
     corners = np.random.default_rng(1).normal(size=(50, 3, 3))
     pose = trimesh.transformations.compose_matrix(angles=(0.3, 1.0, -2.0), translate=(1.0, -2.0, 0.5))
     moved = rows.placed(rows.triangles(corners), pose)
@@ -101,7 +101,7 @@ def test_triangles_that_are_only_lines_are_left_out() -> None:
 
 
 @pytest.mark.lengthy
-def test_bounds_on_the_distance_to_a_triangle_enclose_what_fcl_measures() -> None:
+def test_triangle_distance_bounds_enclose_fcl_s() -> None:
     rng = np.random.default_rng(6)
     box = CollisionCuboid(kind="cuboid", center=(0.0, 0.0, 0.0), size=(0.2, 0.3, 0.4))
     can = CollisionCylinder(kind="cylinder", a=(0.0, 0.0, -0.2), b=(0.0, 0.0, 0.2), radius=0.1)
@@ -125,7 +125,7 @@ def test_bounds_on_the_distance_to_a_triangle_enclose_what_fcl_measures() -> Non
     assert min(apart, overlapping) > 50
 
 
-def test_a_plate_deep_in_a_link_is_as_deep_as_moving_it_out_takes() -> None:
+def test_depth_in_a_plate_is_the_shortest_way_out() -> None:
     part = link_shape("link", CollisionCuboid(kind="cuboid", center=(0.0, 0.0, 0.0), size=(0.2, 0.3, 0.4)))
     for x in (0.09, 0.03, 0.0):
         corners = np.array([[(x, -0.1, -0.1), (x, 0.2, 0.0), (x, 0.0, 0.2)]])

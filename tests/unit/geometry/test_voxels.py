@@ -69,7 +69,7 @@ def add(*items: PointCloud | Voxels) -> SceneEdit:
 
 
 @pytest.mark.parametrize("axis", [1, 2])
-def test_the_last_cell_of_a_row_and_the_first_of_the_next_are_two_boxes(axis: int) -> None:
+def test_voxels_at_the_end_of_a_line_do_not_merge_with_the_next(axis: int) -> None:
     last, first = np.zeros((2, 3), np.int64)
     last[axis], first[axis], first[axis - 1] = FARTHEST_CELL, -FARTHEST_CELL, 1
     low, high = merged(np.array([last, first]))

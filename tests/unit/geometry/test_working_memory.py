@@ -12,7 +12,7 @@ from zarm_geometry.working_memory import working_memory
 MODEL = RobotModel.of(ROBOT)
 
 
-def test_a_thread_uses_the_same_memory_again_and_another_thread_its_own() -> None:
+def test_working_memory_is_reused_per_thread() -> None:
     mine = working_memory(MODEL.arrays)
     assert working_memory(MODEL.arrays) is mine
     with ThreadPoolExecutor(1) as pool:

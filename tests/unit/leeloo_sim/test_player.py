@@ -35,7 +35,7 @@ def test_one_point_is_played_per_tick_whatever_its_position() -> None:
     np.testing.assert_allclose(player.position, [100 * TICK * 0.1, -100 * TICK * 0.05], atol=1e-3)
 
 
-def test_it_is_never_faster_nor_changes_its_velocity_faster_than_the_controller_allows() -> None:
+def test_it_keeps_the_controller_s_speed_and_acceleration() -> None:
     player = Player(np.zeros(2))
     player.play(constant(200, 0.0, 0.0), constant(200, 9.0, -9.0))
     velocities = stepped(player, 2.0)
@@ -51,7 +51,7 @@ def test_where_the_points_run_out_it_brakes_to_rest() -> None:
     assert not velocities[-1].any()
 
 
-def test_a_command_without_points_stops_it_and_a_new_one_replaces_the_rest() -> None:
+def test_an_empty_command_stops_it_and_a_new_one_replaces_it() -> None:
     player = Player(np.zeros(2))
     player.play(constant(500, 0.0, 0.0), constant(500, 0.5, 0.5))
     stepped(player, 1.0)
@@ -62,7 +62,7 @@ def test_a_command_without_points_stops_it_and_a_new_one_replaces_the_rest() -> 
     assert player.fraction == 1.0
 
 
-def test_stalled_it_brakes_and_goes_on_afterwards_with_the_point_it_had_come_to() -> None:
+def test_stalled_it_brakes_and_resumes_at_its_point() -> None:
     player = Player(np.zeros(2))
     player.play(constant(100, 0.0, 0.0), constant(100, 0.2, 0.2))
     stepped(player, 0.5)
@@ -84,7 +84,7 @@ def test_played_by_position_it_ends_at_the_last_point() -> None:
     assert not player.velocity.any()
 
 
-def test_a_point_that_lacks_what_is_played_repeats_the_one_before_and_is_counted() -> None:
+def test_an_incomplete_point_repeats_the_last_and_is_counted() -> None:
     lacking = np.array([[0.1, 0.1], [np.nan, np.nan], [0.3, np.nan], [0.4, 0.4]])
     player = Player(np.zeros(2))
     assert player.play(np.full((4, 2), np.nan), lacking) == 2
@@ -103,7 +103,7 @@ def test_a_point_that_lacks_what_is_played_repeats_the_one_before_and_is_counted
     np.testing.assert_allclose(fed, [[0.0, 0.0], [0.0, 0.0], [15.0, 15.0], [0.0, 0.0]], atol=1e-9)
 
 
-def test_without_velocities_an_arm_that_plays_them_goes_on_as_before() -> None:
+def test_without_velocities_it_goes_on_as_before() -> None:
     player = Player(np.zeros(2))
     player.play(constant(500, 0.0, 0.0), constant(500, 0.2, -0.2))
     stepped(player, 1.0)

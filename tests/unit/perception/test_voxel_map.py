@@ -181,7 +181,7 @@ def test_where_the_robot_is_nothing_else_is() -> None:
     assert 0.017 < away.min() < 0.03, "what is near it stays"
 
 
-def test_where_the_robot_is_is_free_though_no_camera_sees_through_it() -> None:
+def test_the_robot_s_own_place_is_free() -> None:
     """Otherwise, where the unseen counts as occupied, it could never leave its place."""
     voxels = empty_map(unseen_occupied=True)
     view, robot = looking((1.6, 0.6, 1.1), (0.3, 0.0, 0.4)), RobotShapes(M1013).at(HOME)
@@ -191,7 +191,7 @@ def test_where_the_robot_is_is_free_though_no_camera_sees_through_it() -> None:
     assert 0.047 < away.min() < 0.06, "as far as nothing beside it can be seen"
 
 
-def test_the_filter_leaves_out_what_is_within_the_padding_and_no_more() -> None:
+def test_the_filter_removes_exactly_what_is_within_the_padding() -> None:
     shape = RobotShapes(M1013).at(HOME)
     view = looking((1.6, 0.6, 1.1), (0.3, 0.0, 0.4))
     around = shape.parts.copy()
@@ -204,7 +204,7 @@ def test_the_filter_leaves_out_what_is_within_the_padding_and_no_more() -> None:
     assert outside.marking > 500
 
 
-def test_what_the_robot_may_grip_is_in_the_scene_and_not_in_the_map_too() -> None:
+def test_graspable_objects_are_in_the_scene_and_not_in_the_map() -> None:
     cup = Cylinder(kind="cylinder", name="cup", position=(0.5, 0.3, 0.3), radius=0.04, length=0.1)
     shelf = Cuboid(kind="cuboid", name="shelf", position=(0.5, 0.3, 0.1), size=(0.6, 0.6, 0.3))
     view, voxels = looking((1.6, 0.6, 1.1), (0.5, 0.3, 0.3)), empty_map()
@@ -276,7 +276,7 @@ def test_what_nobody_has_seen_is_occupied_if_that_is_asked_for() -> None:
     assert voxels.occupied.all()
 
 
-def test_a_map_begins_with_all_of_its_blocks_and_goes_on_with_those_that_change() -> None:
+def test_a_map_is_published_whole_and_then_by_changed_blocks() -> None:
     """One that begins again must free what it had seen before."""
     view, voxels = looking((1.2, 0.0, 0.2), (0.0, 0.0, 0.2)), empty_map()
     blocks, depth = Blocks(voxels), seen(view, WALL)
@@ -334,7 +334,7 @@ def ranges(view: View, *things: Primitive) -> tuple[NDArray[np.float32], Array]:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_lidar_sees_all_around_and_frees_only_what_it_sees_through(seed: int) -> None:
+def test_a_lidar_frees_only_what_it_sees_through(seed: int) -> None:
     rng, voxels = np.random.default_rng(seed), empty_map(unseen_occupied=True)
     # One right behind it, across the seam of its image.
     things: list[Primitive] = [Cuboid(kind="cuboid", name="behind", position=(-0.8, 0.0, 0.1), size=(0.2, 0.3, 0.4))]
@@ -414,7 +414,7 @@ def test_a_map_is_saved_and_loaded_also_into_another_box() -> None:
         ({"shape": (4096, 4096, 4096)}, "a map has at most 100000000"),
     ],
 )
-def test_a_saved_map_that_does_not_fit_is_refused_and_nothing_changes(change: dict[str, object], why: str) -> None:
+def test_a_saved_map_that_does_not_fit_is_refused(change: dict[str, object], why: str) -> None:
     voxels = empty_map()
     view = looking((1.2, 0.3, 0.8), (0.0, 0.0, 0.0))
     voxels.integrate(seen(view, WALL), view, NOBODY, 0.0)

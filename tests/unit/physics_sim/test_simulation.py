@@ -50,7 +50,7 @@ def pass_time(arm: PhysicalArm, seconds: float) -> None:
 
 
 @pytest.mark.parametrize("robot", [UR5E, PANDA], ids=["ur5e", "panda"])
-def test_the_torque_of_gravity_is_the_slope_of_the_potential_energy(robot: RobotDescription) -> None:
+def test_gravity_torque_is_the_slope_of_potential_energy(robot: RobotDescription) -> None:
     """Masses, centres and joints of the simulation against zarm's own kinematics."""
     model, inertials = RobotModel.of(robot), usable_inertials(robot)[0]
 
@@ -76,7 +76,7 @@ def test_the_torque_of_gravity_is_the_slope_of_the_potential_energy(robot: Robot
         assert Simulation(robot, EMPTY, q).bias == pytest.approx(slope, abs=1e-3)
 
 
-def test_an_arm_without_stated_inertia_weighs_what_its_geometry_does() -> None:
+def test_without_inertia_an_arm_weighs_what_its_geometry_does() -> None:
     heavy = Simulation(M1013, EMPTY, home(M1013), density=2000.0)
     light = Simulation(M1013, EMPTY, home(M1013), density=1000.0)
     assert set(light.assumed) == set(M1013.descriptor.collision) - {"base_link"}
@@ -93,7 +93,7 @@ def test_an_inertial_outside_of_its_link_is_named_and_not_used(tmp_path: Path) -
     assert "link_6" in simulation.assumed
 
 
-def test_moments_of_inertia_that_no_body_has_are_corrected_and_named() -> None:
+def test_impossible_moments_of_inertia_are_corrected_and_named() -> None:
     """Those that Franka published for the fourth link."""
     inertials, faults = usable_inertials(PANDA)
     assert [fault.split(":")[0] for fault in faults] == ["panda_link4"]
@@ -130,7 +130,7 @@ def test_what_falls_comes_to_rest_on_the_floor_with_its_weight() -> None:
     assert sum(contact.force for contact in pressing) == pytest.approx(0.5 * GRAVITY, rel=0.02)
 
 
-def test_an_arm_that_meets_a_wall_presses_against_it_and_is_stopped() -> None:
+def test_an_arm_is_stopped_by_a_wall_and_presses_on_it() -> None:
     ahead = RobotModel.of(UR5E).fk_tip(home(UR5E) + [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])[:3, 3]
     wall = cube("wall", *map(float, ahead), 0.2)
     simulation = Simulation(UR5E, World({"wall": wall}), home(UR5E))
@@ -164,7 +164,7 @@ def test_a_gripper_holds_by_friction_what_is_light_enough(mass: float, held: boo
     assert (height > tip[2] - 0.02) == held
 
 
-def test_a_thing_that_is_attached_to_an_arm_without_gripper_moves_with_it_until_it_is_detached() -> None:
+def test_an_attached_thing_moves_along_until_detached() -> None:
     tip = RobotModel.of(UR5E).fk_tip(home(UR5E))[:3, 3]
     thing = cube("cube", float(tip[0]), float(tip[1]), float(tip[2]) - 0.1)
     world = World({"cube": thing}, dynamic={"cube": DynamicObject(name="cube", mass=0.5)}, floor=0.0)

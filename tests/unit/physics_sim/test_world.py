@@ -71,7 +71,7 @@ def test_a_walker_goes_there_and_back_or_stays(once: bool, seconds: float, x: fl
     assert places["visitor"] == pytest.approx((x, 0.0, 0.8), abs=0.002)
 
 
-def test_another_world_begins_as_it_is_described_and_the_robot_goes_on() -> None:
+def test_a_new_world_begins_as_described_and_the_robot_goes_on() -> None:
     dynamic = (DynamicObject(name="parcel", mass=0.2),)
     first = LoadWorld(objects=(BELT, PARCEL), dynamic=dynamic, conveyors=(Conveyor(name="belt", speed=0.1),))
     before = Simulation(UR5E, World.of(first), HOME)
@@ -85,7 +85,7 @@ def test_another_world_begins_as_it_is_described_and_the_robot_goes_on() -> None
     assert again.time == before.time
 
 
-def test_things_that_are_added_fall_while_the_others_stay_where_they_are() -> None:
+def test_added_things_fall_and_the_others_stay() -> None:
     first = LoadWorld(objects=(BELT, PARCEL), dynamic=(DynamicObject(name="parcel", mass=0.2),), floor=0.0)
     before = Simulation(
         UR5E, World.of(first.model_copy(update={"conveyors": (Conveyor(name="belt", speed=0.1),)})), HOME

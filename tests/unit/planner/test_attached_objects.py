@@ -111,7 +111,7 @@ def test_a_collision_names_the_carried_object(arm: RobotModel) -> None:
     assert nearest.distance == pytest.approx(-0.07, abs=1e-3)
 
 
-def test_a_carried_object_may_touch_its_own_body_and_its_touch_links_and_nothing_else(arm: RobotModel) -> None:
+def test_a_carried_object_touches_only_what_it_may(arm: RobotModel) -> None:
     long = Capsule(kind="capsule", name="pole", position=(0.0, 0.0, -0.2), radius=0.02, length=0.6)
     folded = np.array([0.0, 0.0, 0.0, 0.0])  # the pole runs back through cover, fore and upper
     hit = ExactScene(arm.with_attached((Attached(object=long),), ()), World((), 0.0)).nearest(folded)
@@ -238,7 +238,7 @@ def links(*names: str, enabled: bool = False) -> SceneEdit:
 
 
 @pytest.mark.parametrize("item", [BOX, BALL])
-def test_an_object_goes_with_the_tip_and_stays_where_it_is_put_down(
+def test_an_object_goes_with_the_tip_and_stays_when_detached(
     arm: RobotModel, planner: Handlers, item: SceneObject
 ) -> None:
     away = np.array([1.0, 0.5, -0.7, 0.05])
@@ -308,7 +308,7 @@ def crumbs(_: Path) -> Voxels:
 
 
 @pytest.mark.parametrize("kind", [ring, crumbs])
-def test_a_mesh_or_voxels_are_carried_as_few_cuboids_that_contain_them_and_put_down_as_they_were(
+def test_carried_meshes_and_voxels_become_cuboids(
     arm: RobotModel, tmp_path: Path, kind: Callable[[Path], Mesh | Voxels]
 ) -> None:
     store = SceneStore(tmp_path / "state", Meshes((tmp_path,)))
@@ -334,9 +334,7 @@ def test_a_mesh_or_voxels_are_carried_as_few_cuboids_that_contain_them_and_put_d
 
 
 @pytest.mark.parametrize("edit", [attach("box", at=None), detach("load", at=None)])
-def test_without_joints_and_a_measured_state_nothing_is_attached_or_detached(
-    planner: Handlers, edit: SceneEdit
-) -> None:
+def test_attaching_needs_joints_or_a_measured_state(planner: Handlers, edit: SceneEdit) -> None:
     planner.edit(add(BOX, BALL.model_copy(update={"name": "load"})))
     planner.edit(attach("load"))
     with pytest.raises(ExecutionRefused) as refused:
@@ -345,7 +343,7 @@ def test_without_joints_and_a_measured_state_nothing_is_attached_or_detached(
 
 
 @pytest.mark.lengthy
-def test_a_robot_carries_no_more_than_the_greatest_number_of_objects(planner: Handlers) -> None:
+def test_a_robot_carries_a_limited_number_of_objects(planner: Handlers) -> None:
     planner.edit(add(*(BALL.model_copy(update={"name": f"b{i}"}) for i in range(MAX_ATTACHED + 1))))
     for i in range(MAX_ATTACHED):
         planner.edit(attach(f"b{i}"))
@@ -353,7 +351,7 @@ def test_a_robot_carries_no_more_than_the_greatest_number_of_objects(planner: Ha
         planner.edit(attach(f"b{MAX_ATTACHED}"))
 
 
-def test_clearing_and_loading_leave_what_is_carried_and_what_is_ignored(planner: Handlers) -> None:
+def test_clearing_and_loading_keep_attached_objects(planner: Handlers) -> None:
     planner.edit(add(BOX))
     planner.edit(attach("box"))
     carried = planner.edit(links("cover"))
@@ -377,7 +375,7 @@ def test_what_is_carried_and_ignored_outlives_the_process(planner: Handlers, tmp
     assert SceneStore(tmp_path).scene == scene
 
 
-def test_links_cannot_be_switched_while_it_is_not_known_what_stands_around_the_robot(tmp_path: Path) -> None:
+def test_links_cannot_be_disabled_in_an_unknown_scene(tmp_path: Path) -> None:
     (tmp_path / "scene.json").write_text("broken")
     store = SceneStore(tmp_path)
     with pytest.raises(Unavailable, match=r"scene\.json\.broken"):

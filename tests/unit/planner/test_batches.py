@@ -57,7 +57,7 @@ def test_poses_on_torch_are_those_of_the_kernels(model: RobotModel) -> None:
 
 
 @pytest.mark.lengthy
-def test_solutions_on_torch_reach_their_poses_by_the_kernels_within_the_limits_nearest_first(model: RobotModel) -> None:
+def test_torch_solutions_satisfy_the_kernels_nearest_first(model: RobotModel) -> None:
     joints = random_joints(model, 6, np.random.default_rng(1))
     poses, near = model.fk_tip(joints), np.array(model.robot.descriptor.home)
     for pose, rows in zip(poses, solved(model, poses, near, "cpu", most=4), strict=True):
@@ -70,9 +70,7 @@ def test_solutions_on_torch_reach_their_poses_by_the_kernels_within_the_limits_n
 
 
 @pytest.mark.lengthy
-def test_torch_solves_what_it_is_given_and_leaves_little_to_the_kernels(
-    ur5e: RobotModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_torch_leaves_little_to_the_kernels(ur5e: RobotModel, monkeypatch: pytest.MonkeyPatch) -> None:
     by_kernels = []
     solve_ik = batches.solve_ik
 
@@ -87,7 +85,7 @@ def test_torch_solves_what_it_is_given_and_leaves_little_to_the_kernels(
     assert len(by_kernels) < 5
 
 
-def test_a_pose_near_the_joints_given_is_solved_near_them_on_every_device(ur5e: RobotModel) -> None:
+def test_a_pose_near_the_seed_is_solved_near_it_on_every_device(ur5e: RobotModel) -> None:
     home = np.array(ur5e.robot.descriptor.home)
     for device in ("kernels", "cpu"):
         [rows] = solved(ur5e, ur5e.fk_tip(home + 0.05)[None], home, device)
@@ -138,9 +136,7 @@ def test_cuda_where_there_is_no_gpu_is_refused_with_the_remedy(ur5e: RobotModel)
         batch_fk(ur5e, np.zeros((1, 6)), "cuda")
 
 
-def test_a_device_without_torch_is_refused_with_the_remedy_and_auto_does_without(
-    ur5e: RobotModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_device_without_torch_is_refused_and_auto_is_not(ur5e: RobotModel, monkeypatch: pytest.MonkeyPatch) -> None:
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "torch" else find(name))
     batches._has_gpu.cache_clear()
@@ -152,7 +148,7 @@ def test_a_device_without_torch_is_refused_with_the_remedy_and_auto_does_without
     batches._has_gpu.cache_clear()
 
 
-def test_solutions_that_only_exact_geometry_finds_in_collision_are_replaced(tmp_path: Path) -> None:
+def test_solutions_in_exact_collision_are_replaced(tmp_path: Path) -> None:
     model, world = unchecked_pairs(tmp_path), World((), 0.0)
     poses, near = model.fk_tip([JOINTS]), np.array(model.robot.descriptor.home)
     scene = ExactScene(model, world)
@@ -170,7 +166,7 @@ def test_solutions_that_only_exact_geometry_finds_in_collision_are_replaced(tmp_
     np.testing.assert_allclose(model.fk_tip(free), np.broadcast_to(poses[0], (len(free), 4, 4)), rtol=0, atol=1e-6)
 
 
-def test_ik_without_collision_answers_only_what_the_check_finds_free(tmp_path: Path) -> None:
+def test_ik_without_collision_answers_only_free_solutions(tmp_path: Path) -> None:
     model = unchecked_pairs(tmp_path)
     planner = Handlers(model, "arm", SceneStore(tmp_path / "state"), lambda: np.array(model.robot.descriptor.home))
     pose = pose_of(model.fk_tip(JOINTS))

@@ -80,7 +80,7 @@ def test_a_tool_stays_upright_all_the_way(model: RobotModel) -> None:
     assert tilt(tips(model, found)) <= UPRIGHT.angle_tolerance * np.sqrt(2.0)
 
 
-def test_samples_are_close_enough_for_the_curve_though_the_descriptor_allows_longer_steps(model: RobotModel) -> None:
+def test_samples_are_dense_enough_for_the_curve(model: RobotModel) -> None:
     assert model.robot.descriptor.interpolation_dt > 0.01
     found = held_plan(model, moved(model, 0.0, 0.2, 0.0), UPRIGHT)
     assert np.diff(found.trajectory.time).max() <= 0.01 + 1e-9
@@ -130,7 +130,7 @@ def test_a_budget_makes_no_held_motion_slower_and_loses_nothing(model: RobotMode
     assert tilt(tips(model, better)) <= UPRIGHT.angle_tolerance * np.sqrt(2.0)
 
 
-def test_a_goal_that_cannot_keep_what_is_held_is_refused_with_the_axis_and_how_far_off(model: RobotModel) -> None:
+def test_a_goal_off_the_constraint_is_refused_with_the_axis(model: RobotModel) -> None:
     with pytest.raises(InvalidRequest, match=r"\bz would be off by 100\.00 mm") as refused:
         held_plan(model, moved(model, 0.0, 0.1, 0.1), LEVEL)
     assert refused.value.problem.field == "goal"

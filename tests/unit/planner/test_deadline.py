@@ -29,7 +29,7 @@ def test_a_sooner_deadline_ends_no_later_and_with_a_cancel() -> None:
             one.check()
 
 
-def test_a_sooner_deadline_that_passes_or_is_cancelled_leaves_the_other_alone() -> None:
+def test_a_sooner_deadline_leaves_the_other_alone() -> None:
     stop = Deadline(60.0)
     passed, cancelled = stop.sooner(-1.0), stop.sooner(1.0)
     cancelled.cancel()
@@ -38,7 +38,7 @@ def test_a_sooner_deadline_that_passes_or_is_cancelled_leaves_the_other_alone() 
     stop.check()
 
 
-def test_what_gives_way_keeps_what_is_guaranteed_and_the_deadline_itself_stays() -> None:
+def test_yielding_keeps_the_guarantee_and_the_deadline() -> None:
     stop = Deadline(60.0)
     before = stop.at[0]
     long, short, cancelled = stop.sooner(30.0), stop.sooner(GUARANTEED / 2), stop.sooner(30.0)

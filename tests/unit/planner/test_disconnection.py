@@ -55,7 +55,7 @@ def free_beside(model: RobotModel, world: World, side: int, rng: np.random.Gener
             return q
 
 
-def test_a_goal_behind_what_the_first_joint_cannot_turn_past_is_refused_and_says_what_that_is() -> None:
+def test_a_goal_behind_what_blocks_joint_1_is_refused_with_it() -> None:
     model, rng = MODELS["ur10e"], np.random.default_rng(0)
     world = World(walls(0.15, 0.8), 0.005)
     start, goal = free_beside(model, world, -1, rng), free_beside(model, world, 1, rng)

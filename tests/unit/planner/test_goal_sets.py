@@ -58,7 +58,7 @@ def post_on_the_way(model: RobotModel, q: NDArray[np.float64]) -> SceneObject:
 @pytest.mark.lengthy
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("blocked", [False, True])
-def test_the_pose_that_is_chosen_is_the_one_whose_plan_alone_is_quickest(name: str, blocked: bool) -> None:
+def test_the_chosen_pose_is_the_quickest_by_its_own_plan(name: str, blocked: bool) -> None:
     model = MODELS[name]
     home = np.array(model.robot.descriptor.home)
     random = np.random.default_rng(7)
@@ -86,11 +86,11 @@ def second_opinion_free(model: RobotModel, q: NDArray[np.float64]) -> bool:
     return not second_opinion.Collisions(model.robot, ()).at(q)
 
 
-def test_a_goal_without_alternatives_reaches_its_own_pose_and_joints_reach_none() -> None:
+def test_a_goal_without_alternatives_reports_its_pose() -> None:
     assert planned(PANDA, any_of(tip_at(PANDA, HOME + 0.2))).goal_pose == 0
 
 
-def test_poses_that_are_out_of_reach_or_in_collision_are_left_out() -> None:
+def test_unreachable_and_colliding_poses_are_left_out() -> None:
     near, other = tip_at(PANDA, HOME + [0.6, 0, 0, 0, 0, 0, 0]), tip_at(PANDA, HOME - [0.9, 0, 0, 0, 0, 0, 0])
     ball = Sphere(kind="sphere", name="ball", position=near.position, radius=0.1)
     assert planned(PANDA, any_of(FAR, near, other)).goal_pose == 1

@@ -282,7 +282,7 @@ def test_what_was_measured_of_the_whole_robot_serves_its_groups(pandas: Handlers
     assert whole.model.pair_room is room
 
 
-def test_forward_kinematics_of_any_frame_are_those_of_the_tip_moved_there(pandas: Handlers) -> None:
+def test_fk_of_any_frame_is_that_of_the_tip_moved_there(pandas: Handlers) -> None:
     q = tuple((HOME + 0.1).tolist())
     (tip,) = pandas.fk(FkRequest(joints=(q,), group="right")).poses
     link = PANDAS.robot.group("right").descriptor.tip_link
@@ -306,7 +306,7 @@ parts:
 """
 
 
-def test_the_joints_that_stand_hold_what_moves_with_their_torques_too(tmp_path: Path) -> None:
+def test_standing_joints_hold_what_moves_by_torque_too(tmp_path: Path) -> None:
     model = RobotModel.of(load_robot(str(composed(tmp_path, CARRIED))))
     sideways = np.array(model.robot.descriptor.home)
     sideways[[3, 4, 7, 9]] = 0.7, 3.14, 0.8, -0.8  # the Panda stands on a wrist whose axis is level

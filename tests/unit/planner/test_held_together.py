@@ -126,7 +126,7 @@ def test_either_arm_follows_the_other(pandas: Handlers, start: tuple[float, ...]
     assert tip("left", end)[:3, 3] == pytest.approx((0.5, 0.1, 0.4), abs=1e-4)
 
 
-def test_a_goal_with_freedom_and_one_of_several_poses_are_followed(pandas: Handlers, start: tuple[float, ...]) -> None:
+def test_goals_with_freedom_are_followed_by_both_arms(pandas: Handlers, start: tuple[float, ...]) -> None:
     tilted = pose(0.5, 0.2, 0.4, tolerance=PoseTolerance(orientation=(0.2, 0.2, 0.2)))
     kept(pandas.plan(request(tilted, start, group="left")))
     out_of_reach = Pose(position=(2.0, 0.0, 0.4), orientation=DOWN)
@@ -141,7 +141,7 @@ def test_a_goal_with_freedom_and_one_of_several_poses_are_followed(pandas: Handl
     assert plan.selected_goal_index == 1
 
 
-def test_joints_of_one_arm_are_followed_and_those_of_both_kept_to(pandas: Handlers, start: tuple[float, ...]) -> None:
+def test_joints_of_one_arm_are_followed_and_of_both_kept(pandas: Handlers, start: tuple[float, ...]) -> None:
     end = kept(pandas.plan(request(pose(0.5, 0.2, 0.45), start, group="left")))
     left, right = (JointGoal(kind="joints", position=tuple(end[part].tolist())) for part in (slice(7), slice(7, 14)))
     assert kept(pandas.plan(request(left, start, group="left")))[:7] == pytest.approx(end[:7], abs=1e-6)
@@ -150,7 +150,7 @@ def test_joints_of_one_arm_are_followed_and_those_of_both_kept_to(pandas: Handle
         assert kept(pandas.plan(request(goal, start))) == pytest.approx(end, abs=1e-6)
 
 
-def test_goals_of_both_arms_that_would_tear_the_object_are_refused(pandas: Handlers, start: tuple[float, ...]) -> None:
+def test_goals_that_would_tear_the_object_are_refused(pandas: Handlers, start: tuple[float, ...]) -> None:
     kept(pandas.plan(request(both(pose(0.5, 0.2, 0.4), pose(0.5, -0.2, 0.4)), start)))
     with pytest.raises(InvalidRequest, match="in the frame of the tip of left, y would be off by 20") as refused:
         pandas.plan(request(both(pose(0.5, 0.2, 0.4), pose(0.5, -0.22, 0.4)), start))
@@ -196,7 +196,7 @@ def test_a_tip_is_held_in_the_frame_of_an_arm_that_stands(pandas: Handlers, star
 
 @examples(0.5)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["base", "tool"]))
-def test_a_projected_configuration_keeps_the_pose_between_the_tips(seed: int, frame: str) -> None:
+def test_projection_keeps_the_pose_between_the_tips(seed: int, frame: str) -> None:
     rng = np.random.default_rng(seed)
     first, q = rng.uniform(PANDAS.lower, PANDAS.upper, (2, PANDAS.dof))
     held = ConstraintManifold.of(PANDAS, TRAY.model_copy(update={"frame": frame}), first)
@@ -208,7 +208,7 @@ def test_a_projected_configuration_keeps_the_pose_between_the_tips(seed: int, fr
 
 @examples(0.5)
 @given(st.integers(0, 2**32 - 1))
-def test_joints_that_carry_both_arms_do_not_move_one_as_seen_from_the_other(seed: int) -> None:
+def test_joints_that_carry_both_arms_move_neither_relatively(seed: int) -> None:
     rng = np.random.default_rng(seed)
     first = rng.uniform(*TORSO.range_about(np.zeros(TORSO.dof)))
     held = ConstraintManifold.of(TORSO, TRAY, first)
@@ -258,7 +258,7 @@ def test_of_several_tips_the_constraint_names_one(pandas: Handlers, start: tuple
         assert np.abs(axes - (0.0, 0.0, -1.0)).max() < 0.03
 
 
-def test_beside_another_motion_no_tip_is_held_relative_to_another(pandas: Handlers, start: tuple[float, ...]) -> None:
+def test_beside_another_motion_no_relative_pose_is_held(pandas: Handlers, start: tuple[float, ...]) -> None:
     moving = pandas.plan(PlanRequest(goal=pose(0.5, -0.3, 0.4), start=start, group="right", optimize_s=0.0))
     in_plane = PathConstraint(axes=(False, False, False, False, False, True), relative_to="right")
     with pytest.raises(InvalidRequest, match="beside another motion") as refused:

@@ -40,7 +40,7 @@ def ur5e() -> RobotModel:
 
 
 @pytest.mark.lengthy
-def test_every_pose_is_the_one_that_pytorch_kinematics_computes_from_the_urdf(model: RobotModel) -> None:
+def test_fk_is_that_of_pytorch_kinematics(model: RobotModel) -> None:
     import pytorch_kinematics as pk  # loads torch, for seconds: not where this file is only collected
     import torch
 
@@ -75,7 +75,7 @@ def test_a_joint_vector_of_the_wrong_length_is_refused(ur5e: RobotModel) -> None
         ur5e.fk_tip(np.zeros(7))
 
 
-def test_links_that_meet_are_all_but_those_ignored_and_those_on_one_body(tmp_path: Path) -> None:
+def test_links_meet_unless_ignored_or_on_one_body(tmp_path: Path) -> None:
     arm = RobotModel.of(small_arm(tmp_path))
     meeting = {frozenset((arm.links[a], arm.links[b])) for a, b in arm.pairs}
     assert meeting == {
@@ -117,7 +117,7 @@ def reached(model: RobotModel, q: Array, pose: Array) -> bool:
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize("name", ROBOTS)
-def test_every_one_of_300_reachable_poses_is_solved_within_the_limits(name: str) -> None:
+def test_300_reachable_poses_are_solved_within_limits(name: str) -> None:
     model, rng = RobotModel.of(load_robot(name)), np.random.default_rng(3)
     for seed, (target, near) in enumerate(
         zip(random_joints(model, 300, rng), random_joints(model, 300, rng), strict=True)
@@ -143,7 +143,7 @@ def test_solutions_are_distinct_and_the_nearest_comes_first(name: str) -> None:
         assert apart.min() > 0.09
 
 
-def test_a_ur_reaches_a_pose_in_eight_ways_and_each_of_them_with_every_full_turn(ur5e: RobotModel) -> None:
+def test_a_ur_has_eight_solutions_and_their_full_turns(ur5e: RobotModel) -> None:
     home = np.array(ur5e.robot.descriptor.home)
     pose = ur5e.fk_tip(home + 0.3)
     found = solve_ik(ur5e, pose, home, world=None, max_solutions=1000, seed=0, deadline=Deadline(10.0)).solutions

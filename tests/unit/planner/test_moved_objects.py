@@ -15,7 +15,7 @@ def pose(stamp: float, x: float) -> ObjectPose:
     return ObjectPose(stamp=stamp, position=(x, 0.0, 0.0), speed=0.1)
 
 
-def test_an_object_is_where_the_newest_pose_has_it_until_it_is_edited() -> None:
+def test_an_object_is_at_its_newest_pose_until_edited() -> None:
     scene = SCENE
     moved = MovedObjects(lambda: scene)
     assert moved.objects(scene) is scene.objects

@@ -114,7 +114,7 @@ def assert_inside_limits(trajectory: TimedTrajectory, model: RobotModel) -> None
     strength=st.sampled_from((0.0, 0.5, 1.0)),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_whatever_the_state_and_the_world_what_is_planned_continues_it_free_and_inside_the_limits(
+def test_any_moving_state_is_continued_within_limits(
     name: str, kind: str, share: float, strength: float, seed: int
 ) -> None:
     model, rng = MODELS[name], np.random.default_rng(seed)
@@ -137,7 +137,7 @@ def test_whatever_the_state_and_the_world_what_is_planned_continues_it_free_and_
 
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("share", [0.03, 0.3, 0.6])
-def test_a_motion_that_runs_is_taken_over_without_a_stop_where_there_is_room(name: str, share: float) -> None:
+def test_a_running_motion_is_taken_over_without_a_stop(name: str, share: float) -> None:
     model = MODELS[name]
     limits, home = Limits.of(model.robot), np.array(model.robot.descriptor.home)
     turned = np.array([1.0, *[0.0] * (model.dof - 1)])
@@ -193,7 +193,7 @@ FIRST = np.eye(6)[0]
         ),
     ],
 )
-def test_a_state_outside_the_limits_or_with_a_path_constraint_is_refused_by_field(
+def test_a_state_outside_the_limits_is_refused_by_field(
     handlers: Handlers, position: Array, velocity: Array, more: dict[str, object], field: str
 ) -> None:
     with pytest.raises(InvalidRequest) as refused:
@@ -201,7 +201,7 @@ def test_a_state_outside_the_limits_or_with_a_path_constraint_is_refused_by_fiel
     assert refused.value.problem.field == field
 
 
-def test_where_no_braking_keeps_clear_the_error_names_what_is_in_the_way(handlers: Handlers) -> None:
+def test_without_room_to_brake_the_error_names_the_obstacle(handlers: Handlers) -> None:
     speed = 0.9 * LIMITS.velocity[0] * FIRST
     x, y, z = M1013.fk_tip(HOME + 0.5 * FIRST)[:3, 3].tolist()
     wall = Cuboid(kind="cuboid", name="wall", position=(x, y, z), size=(0.1, 0.02, 0.6))
@@ -212,7 +212,7 @@ def test_where_no_braking_keeps_clear_the_error_names_what_is_in_the_way(handler
     assert (refused.value.code, refused.value.problem.field) == ("no_path", "start_state")
 
 
-def test_where_no_braking_keeps_a_joint_in_its_range_the_error_says_so(handlers: Handlers) -> None:
+def test_without_range_to_brake_the_error_names_the_joint(handlers: Handlers) -> None:
     edge = HOME.copy()
     edge[2] = M1013.upper[2] - 0.05
     with pytest.raises(PlanningFailed, match="range") as refused:
@@ -236,7 +236,7 @@ def test_where_no_braking_keeps_a_joint_in_its_range_the_error_says_so(handlers:
     ],
     ids=["at a sample", "between samples"],
 )
-def test_a_state_of_a_plan_is_a_start_though_two_joints_reach_full_acceleration_almost_together(
+def test_any_state_of_a_plan_is_a_valid_start(
     state: list[tuple[float, ...]],
 ) -> None:
     """Some 50 us apart, too little for a sample at each of these moments."""

@@ -151,9 +151,7 @@ def problem(
 @pytest.mark.lengthy
 @pytest.mark.parametrize("message", KINDS)
 @pytest.mark.parametrize("name", sampled("panda", *sorted(set(MODELS) - {"panda"})))
-def test_in_random_worlds_every_motion_keeps_what_is_held_inside_the_limits_and_free(
-    name: str, message: PathConstraint
-) -> None:
+def test_in_random_worlds_constraints_and_limits_hold(name: str, message: PathConstraint) -> None:
     model, rng, planned = MODELS[name], np.random.default_rng(0), 0
     for seed in range(3):
         objects, held, start, goals = problem(model, message, rng)
@@ -189,7 +187,7 @@ def test_a_glass_is_carried_upright_around_a_wall(
     assert PANDA.fk_tip(motion.position)[:, 2, 3].max() > pose[2, 3] + 0.05  # over it, not through it
 
 
-def test_the_same_seed_gives_the_same_motion_and_another_seed_another(sides: tuple[Array, Array]) -> None:
+def test_the_same_seed_gives_the_same_constrained_motion(sides: tuple[Array, Array]) -> None:
     start, goal = sides
     world, held = World(WALL, 0.005), ConstraintManifold.of(PANDA, UPRIGHT, start)
     motions = [
@@ -201,7 +199,7 @@ def test_the_same_seed_gives_the_same_motion_and_another_seed_another(sides: tup
     assert first.position.shape != other.position.shape or not np.array_equal(first.position, other.position)
 
 
-def test_an_arm_of_seven_joints_can_move_its_elbow_under_a_tip_that_stands_still() -> None:
+def test_a_redundant_arm_moves_its_elbow_under_a_fixed_tip() -> None:
     start = np.array(PANDA.robot.descriptor.home)
     held = ConstraintManifold.of(PANDA, STILL, start)
     goal = held.projected(start + [0.5, 0.0, -0.5, 0.0, 0.0, 0.0, 0.0])
@@ -212,7 +210,7 @@ def test_an_arm_of_seven_joints_can_move_its_elbow_under_a_tip_that_stands_still
     assert_kept(PANDA, STILL, motion)
 
 
-def test_an_arm_that_slides_and_turns_without_end_keeps_its_height(tmp_path: Path) -> None:
+def test_a_sliding_and_turning_arm_keeps_its_height(tmp_path: Path) -> None:
     arm = RobotModel.of(small_arm(tmp_path))
     start = np.array([-3.0, 1.2, 0.3, 0.1])
     held = ConstraintManifold.of(arm, LEVEL, start)
@@ -224,7 +222,7 @@ def test_an_arm_that_slides_and_turns_without_end_keeps_its_height(tmp_path: Pat
     assert_kept(arm, LEVEL, motion)
 
 
-def test_a_goal_that_is_off_by_less_than_the_tolerance_is_reached_exactly() -> None:
+def test_a_goal_within_tolerance_of_the_constraint_is_exact() -> None:
     start = np.array(PANDA.robot.descriptor.home)
     pose = PANDA.fk_tip(start)
     held = ConstraintManifold.of(PANDA, LEVEL, start)
@@ -249,7 +247,7 @@ def test_no_distance_at_all_gives_a_motion_that_stands_still() -> None:
 
 @examples(0.5)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1e-9, 1e-4, 1.0, 3.0, np.pi - 1e-7, np.pi]))
-def test_deviation_is_the_rotation_vector_and_the_shift_along_the_axes_of_the_frame(seed: int, angle: float) -> None:
+def test_deviation_is_in_the_axes_of_the_frame(seed: int, angle: float) -> None:
     rng = np.random.default_rng(seed)
     q, pose = rng.uniform(PANDA.lower, PANDA.upper), np.eye(4)
     start = PANDA.fk_tip(q)
@@ -268,9 +266,7 @@ def test_deviation_is_the_rotation_vector_and_the_shift_along_the_axes_of_the_fr
 
 @examples(0.4)
 @given(st.sampled_from(sorted(MODELS)), st.sampled_from(KINDS), st.integers(0, 2**32 - 1))
-def test_a_projected_configuration_keeps_what_is_held_within_the_joints_ranges(
-    name: str, message: PathConstraint, seed: int
-) -> None:
+def test_projection_keeps_the_constraint_within_limits(name: str, message: PathConstraint, seed: int) -> None:
     model, rng = MODELS[name], np.random.default_rng(seed)
     start, q = rng.uniform(model.lower, model.upper, (2, model.dof))
     held = ConstraintManifold.of(model, message, start)
@@ -291,7 +287,7 @@ def test_a_projected_configuration_keeps_what_is_held_within_the_joints_ranges(
         (LINE, (0.0, 0.0, 0.1), (0.0, 0.0, 0.0), r"tool frame, z would be off by 100\.00 mm"),
     ],
 )
-def test_a_goal_that_cannot_be_kept_to_is_told_with_the_component_that_is_off(
+def test_a_goal_off_the_constraint_names_the_component(
     message: PathConstraint, shift: tuple[float, float, float], turn: tuple[float, float, float], says: str
 ) -> None:
     home = np.array(PANDA.robot.descriptor.home)
@@ -315,7 +311,7 @@ def test_a_violation_names_the_worst_row_and_what_is_lost_there(sides: tuple[Arr
     assert held.use(np.array((start, low)))[1] > 1.0
 
 
-def test_a_goal_in_reach_that_no_held_motion_leads_to_ends_with_its_samples_and_with_a_cancel() -> None:
+def test_a_constrained_search_ends_by_samples_or_cancel() -> None:
     ur5e = MODELS["ur5e"]
     start = np.array(ur5e.robot.descriptor.home)
     held = ConstraintManifold.of(ur5e, STILL, start)

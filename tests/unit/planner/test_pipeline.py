@@ -63,7 +63,7 @@ def to_pose(model: RobotModel, joints: np.ndarray, *objects: SceneObject, seed: 
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_detour_to_a_near_posture_is_taken_before_the_straight_way_to_a_far_one(model: RobotModel, seed: int) -> None:
+def test_a_detour_to_a_near_posture_beats_a_far_straight_way(model: RobotModel, seed: int) -> None:
     straight = plan(FreePlanner(), context(model), HOME, JointGoal(kind="joints", position=tuple(SWUNG)))
     found = to_pose(model, SWUNG, post(model), seed=seed)
     assert found.trajectory.length < 2.5 * straight.trajectory.length
@@ -86,9 +86,7 @@ class _Overshooting:
 
 
 @pytest.mark.parametrize(("overshoot", "goals"), [(0.0, [1.0]), (0.007, [1.0]), (0.2, [1.0, 1.01])])
-def test_a_further_leg_is_searched_only_if_it_could_make_the_route_noticeably_faster(
-    model: RobotModel, overshoot: float, goals: list[float]
-) -> None:
+def test_a_further_leg_is_searched_only_if_worth_it(model: RobotModel, overshoot: float, goals: list[float]) -> None:
     limits, paths = Limits.of(model.robot), _Overshooting(overshoot)
     start, *ends = (End.at(np.array((q, 0.0, 0.0, 0.0, 0.0, 0.0))) for q in (0.0, 1.0, 1.01, 2.0))
     chain = _quickest_chain(paths, [[start], ends], limits)
@@ -117,7 +115,7 @@ class _Fruitless:
 
 
 @pytest.mark.parametrize("slow", [False, True])
-def test_a_search_pauses_for_a_proof_and_begins_again_unless_it_had_given_up(model: RobotModel, slow: bool) -> None:
+def test_a_search_pauses_for_a_proof_unless_given_up(model: RobotModel, slow: bool) -> None:
     paths, request = _Fruitless(slow=slow), context(model)
     problem = PlanningProblem.of(request, HOME, JointGoal(kind="joints", position=tuple(SWUNG)))
     began = time.monotonic()
@@ -126,7 +124,7 @@ def test_a_search_pauses_for_a_proof_and_begins_again_unless_it_had_given_up(mod
     assert paths.deadlines[1:] == ([float(request.deadline.at[0])] if slow else [])
 
 
-def test_without_anything_in_the_way_the_nearest_posture_is_reached_straight(model: RobotModel) -> None:
+def test_in_free_space_the_nearest_posture_is_reached_straight(model: RobotModel) -> None:
     found = to_pose(model, SWUNG)
     np.testing.assert_allclose(found.trajectory.position[-1], SWUNG, atol=1e-5)
     assert found.trajectory.length == pytest.approx(1.3, abs=1e-3)
@@ -155,9 +153,7 @@ def test_a_goal_inside_an_object_is_refused_at_once(model: RobotModel) -> None:
         ("in it", "nowhere", "start_in_collision"),
     ],
 )
-def test_an_end_in_collision_is_named_even_where_spheres_do_not_cover_the_robot(
-    tmp_path: Path, start: str, goal: str, expected: str
-) -> None:
+def test_an_end_in_collision_is_named_without_spheres_too(tmp_path: Path, start: str, goal: str, expected: str) -> None:
     thin = DESCRIPTOR.replace("rod: [{center: [0, 0, 0], radius: 0.03}]", "rod: [{center: [0, 0, 0], radius: 0.001}]")
     (tmp_path / "small_arm.urdf").write_text(URDF)
     (tmp_path / "small_arm.yaml").write_text(thin)
@@ -174,7 +170,7 @@ def test_an_end_in_collision_is_named_even_where_spheres_do_not_cover_the_robot(
     assert refused.value.problem.field == ("goal" if expected == "goal_in_collision" else "start")
 
 
-def test_a_pose_is_reached_by_a_free_solution_though_the_search_does_not_check_every_pair(tmp_path: Path) -> None:
+def test_a_pose_is_reached_by_a_solution_free_in_every_pair(tmp_path: Path) -> None:
     model = unchecked_pairs(tmp_path)
     pose = pose_of(model.fk_tip(JOINTS))
     goal = PoseGoal(kind="pose", position=pose.position, orientation=pose.orientation)
@@ -191,7 +187,7 @@ def test_no_budget_is_spent_on_a_motion_that_cannot_be_faster(model: RobotModel)
 
 
 @pytest.mark.lengthy
-def test_the_deadline_ends_the_search_for_faster_motions_with_the_best_so_far(model: RobotModel) -> None:
+def test_the_deadline_returns_the_best_motion_so_far(model: RobotModel) -> None:
     through = (JointGoal(kind="joints", position=tuple(SWUNG)), JointGoal(kind="joints", position=tuple(HOME)))
     goal = WaypointsGoal(kind="waypoints", through=through)
     request = context(model, post(model), timeout=1.0, optimize_s=30.0)

@@ -74,7 +74,7 @@ def put_post_in_the_way(handlers: Handlers) -> None:
     handlers.edit(SceneEdit(edit=AddObjects(op="add", objects=(post,))))
 
 
-def test_a_request_that_names_the_new_planner_gets_its_trajectory(handlers: Handlers) -> None:
+def test_a_plugin_planner_is_used_by_name(handlers: Handlers) -> None:
     plan = handlers.plan(request())
     q = np.array(plan.trajectory.position)
     np.testing.assert_allclose(q[[0, -1]], (HOME, SWUNG), atol=1e-6)
@@ -107,7 +107,7 @@ def test_a_planner_that_breaks_the_limits_is_refused(handlers: Handlers) -> None
         handlers.plan(request("too_fast", max_attempts=1))
 
 
-def test_where_no_planner_is_named_those_that_were_there_before_are_taken(handlers: Handlers) -> None:
+def test_without_a_name_the_built_in_planners_are_used(handlers: Handlers) -> None:
     assert handlers.planner_name(request(planner=None)) == "joint_space"
     assert handlers.planner_name(request("auto")) == "joint_space"
 
@@ -129,7 +129,7 @@ def test_where_no_planner_is_named_those_that_were_there_before_are_taken(handle
         ),
     ],
 )
-def test_what_a_planner_does_not_take_is_refused_with_those_that_do(
+def test_an_unsupported_goal_is_refused_with_planners_that_fit(
     handlers: Handlers, more: dict[str, object], refusal: str
 ) -> None:
     with pytest.raises(InvalidRequest, match=refusal) as refused:

@@ -116,7 +116,7 @@ def test_of_a_scene_only_what_changed_is_built_anew(planner: Handlers, split: li
     assert split == [2, 2, 2, 2]
 
 
-def test_a_moved_object_is_where_it_was_told_to_be_after_another_edit_too(planner: Handlers, made: list[int]) -> None:
+def test_a_moved_object_stays_moved_after_another_edit(planner: Handlers, made: list[int]) -> None:
     far = nearest(planner)
     planner.scenes.moved.receive(
         "zarm/small_arm/scene/object/box/pose", ObjectPose(stamp=1.0, position=(0.1, 0.0, 0.6), speed=0.0)

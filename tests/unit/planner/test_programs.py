@@ -123,7 +123,7 @@ def test_speed_change_slows_what_comes_after_it(handlers: Handlers) -> None:
         ((0.14, 0.11, -0.13), (0.41, 0.26, 0.04)),
     ],
 )
-def test_branch_is_chosen_so_that_the_line_after_it_can_be_followed(
+def test_the_branch_is_chosen_so_that_the_line_can_be_followed(
     handlers: Handlers, begin: tuple[float, float, float], end: tuple[float, float, float]
 ) -> None:
     """The configuration that is reached soonest cannot follow the line to its end, and another one can."""
@@ -233,7 +233,7 @@ def put(handlers: Handlers, *objects: Cuboid) -> None:
     handlers.edit(SceneEdit(edit=AddObjects(op="add", objects=objects)))
 
 
-def test_what_is_attached_goes_along_and_is_left_where_it_is_detached(handlers: Handlers) -> None:
+def test_an_attached_object_moves_along_and_stays_where_detached(handlers: Handlers) -> None:
     part = Cuboid(kind="cuboid", name="part", position=at(0.0, 0.2, -0.3), size=(0.04, 0.04, 0.2))
     put(handlers, part)
     before = pose_goal(0.0, 0.2, -0.18)
@@ -286,7 +286,7 @@ def test_last_state_of_a_goal_that_arrives_again_changes_nothing() -> None:
     assert made == ["attach", "detach"]
 
 
-def test_named_objects_may_be_touched_on_the_approach_and_nowhere_else(handlers: Handlers) -> None:
+def test_named_objects_may_be_touched_on_the_approach_only(handlers: Handlers) -> None:
     part = Cuboid(kind="cuboid", name="part", position=at(0.0, 0.25, -0.2), size=(0.06, 0.06, 0.3))
     put(handlers, part)
     down = Offset(distance=0.12, direction=(0.0, 0.0, 1.0))
@@ -398,7 +398,7 @@ def test_segment_that_fails_is_named(
     assert failed.value.problem.field == field  # type: ignore[attr-defined]
 
 
-def test_what_came_before_a_segment_that_fails_is_kept_on_request(handlers: Handlers) -> None:
+def test_segments_before_a_failing_one_are_kept_on_request(handlers: Handlers) -> None:
     segments = (
         move(line(0.0, 0.1, 0.0), "first"),
         Wait(kind="wait", duration=1.0),
@@ -413,7 +413,7 @@ def test_what_came_before_a_segment_that_fails_is_kept_on_request(handlers: Hand
         handlers.program(ProgramRequest(segments=segments[2:], partial=True))
 
 
-def test_approach_that_cannot_be_followed_says_so_without_a_segment(handlers: Handlers) -> None:
+def test_an_approach_that_fails_is_reported_without_a_segment(handlers: Handlers) -> None:
     goal = pose_goal(0.0, 0.3, 0.0, approach=Offset(distance=2.0, direction=(0.0, 0.0, 1.0)))
     with pytest.raises(PlanningFailed) as failed:
         handlers.plan(PlanRequest(start=HOME, goal=goal))

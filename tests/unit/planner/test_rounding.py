@@ -27,7 +27,7 @@ LIMITS = Limits.of(ROBOT)
 JOINTS = ROBOT.descriptor.joints
 
 
-def test_its_message_is_half_as_long_and_it_needs_no_more_of_the_limits() -> None:
+def test_rounding_halves_the_message_within_limits() -> None:
     for seed in range(5):
         motion = curved_path(seed)
         short = rounded(motion, LIMITS)
@@ -37,7 +37,7 @@ def test_its_message_is_half_as_long_and_it_needs_no_more_of_the_limits() -> Non
         assert np.array_equal(short.states[:, [0, -1]], motion.states[:, [0, -1]])
 
 
-def test_samples_close_together_keep_the_decimals_that_the_jerk_needs() -> None:
+def test_dense_samples_keep_the_decimals_that_jerk_needs() -> None:
     motion = TimedTrajectory.of(rest_to_rest(moved(0.5)), JOINTS)
     times = np.sort(np.concatenate((motion.time, motion.time[5:40] + 1e-4)))
     dense = TimedTrajectory(times, *motion.sample(times))

@@ -103,9 +103,7 @@ def test_every_edit_makes_the_next_revision(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_faulty_edit_names_field_and_object_and_changes_nothing(
-    tmp_path: Path, edit: SceneEdit, field: str, says: str
-) -> None:
+def test_an_invalid_edit_is_refused_by_field_and_object(tmp_path: Path, edit: SceneEdit, field: str, says: str) -> None:
     store = SceneStore(tmp_path)
     before = store.edit(add(ball("a"), ball("b")))
     with pytest.raises(InvalidRequest, match=says) as caught:
@@ -115,7 +113,7 @@ def test_a_faulty_edit_names_field_and_object_and_changes_nothing(
     assert SceneStore(tmp_path).scene == before
 
 
-def test_a_scene_holds_no_more_than_the_greatest_number_of_objects(tmp_path: Path) -> None:
+def test_a_scene_holds_a_limited_number_of_objects(tmp_path: Path) -> None:
     store = SceneStore(tmp_path)
     store.edit(load(*(ball(f"b{i}") for i in range(MAX_OBJECTS))))
     with pytest.raises(InvalidRequest, match=str(MAX_OBJECTS)):
@@ -171,7 +169,7 @@ def test_a_lost_scene_stays_lost_until_someone_edits_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [None, "broken"])
-def test_when_its_file_is_gone_or_lost_no_earlier_revision_comes_again(tmp_path: Path, content: str | None) -> None:
+def test_after_losing_its_file_no_revision_is_reused(tmp_path: Path, content: str | None) -> None:
     file, revisions = tmp_path / "scene.json", set[str]()
     for _ in range(3):
         store = SceneStore(tmp_path)
@@ -184,7 +182,7 @@ def test_a_new_scene_is_the_same_after_a_restart(tmp_path: Path) -> None:
     assert SceneStore(tmp_path).scene == SceneStore(tmp_path).scene
 
 
-def test_copies_of_one_scene_that_are_edited_apart_are_two_scenes(tmp_path: Path) -> None:
+def test_copies_edited_apart_are_two_scenes(tmp_path: Path) -> None:
     here, there = tmp_path / "here", tmp_path / "there"
     before = SceneStore(here).edit(add(ball("a")))
     shutil.copytree(here, there)
@@ -223,7 +221,7 @@ _OLD_SCENE = (
         (1, b'{"version": 1, "written_by": "0.1.0", "content": ' + _OLD_SCENE + b"}"),
     ],
 )
-def test_the_scene_of_an_older_zarm_is_taken_over_and_its_file_kept(tmp_path: Path, version: int, old: bytes) -> None:
+def test_the_scene_of_an_older_zarm_is_migrated(tmp_path: Path, version: int, old: bytes) -> None:
     """What zarm 0.1.0 wrote before files stated a version, and before a revision was more than a number."""
     (tmp_path / "scene.json").write_bytes(old)
     store = SceneStore(tmp_path)

@@ -76,7 +76,7 @@ def bench(slots: int) -> Iterator[Bench]:
             one.running.close()
 
 
-def test_who_has_nothing_running_is_next_and_then_clients_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_idle_clients_go_first_and_then_all_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scheduler, "LONG", PATIENCE)
     with bench(2) as one:
         for name in ("a1", "a2", "a3", "a4", "a5", "b1", "c1", "b2"):
@@ -106,7 +106,7 @@ def test_optimisation_gives_way_to_what_its_own_client_asks_for() -> None:
         one.has_begun("a1", "a2")
 
 
-def test_what_was_given_its_turn_between_two_looks_at_it_has_nobody_give_way(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_turn_given_between_two_looks_makes_nobody_yield(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Deadline] = []
     monkeypatch.setattr(Deadline, "give_way", asked.append)
     with bench(1) as one:
@@ -119,7 +119,7 @@ def test_what_was_given_its_turn_between_two_looks_at_it_has_nobody_give_way(mon
         assert only.result(PATIENCE) == "a1 was told"
 
 
-def test_optimisation_gives_way_to_clients_that_run_less_and_not_to_those_that_run_as_much(
+def test_optimisation_yields_to_clients_that_run_less(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(scheduler, "LONG", PATIENCE)
@@ -159,7 +159,7 @@ def test_all_that_a_client_has_in_hand_ends_when_it_leaves(monkeypatch: pytest.M
         assert stays.result(PATIENCE) == "b1 was told"
 
 
-def test_what_a_client_has_sent_before_it_left_ends_as_well_and_what_it_sends_when_it_is_back_does_not() -> None:
+def test_a_client_s_requests_end_when_it_leaves() -> None:
     with bench(1) as one:
         one.running.leave("a")
         with pytest.raises(Cancelled):
@@ -178,7 +178,7 @@ def test_a_cancel_ends_what_runs_and_what_waits_under_its_name() -> None:
                 answer.result(PATIENCE)
 
 
-def test_a_cancel_that_overtakes_its_request_ends_it_and_no_other() -> None:
+def test_a_cancel_that_overtakes_its_request_ends_only_it() -> None:
     with bench(1) as one:
         assert not one.running.cancel("a1")
         other = one.ask("a2")
@@ -189,7 +189,7 @@ def test_a_cancel_that_overtakes_its_request_ends_it_and_no_other() -> None:
         one.has_begun("a2")
 
 
-def test_a_cancel_ends_one_request_and_is_forgotten_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cancel_ends_one_request_and_expires(monkeypatch: pytest.MonkeyPatch) -> None:
     work = Scheduler(1, lambda _: False)
     work.cancel("again")
     with pytest.raises(Cancelled):

@@ -61,9 +61,7 @@ def assert_free(model: RobotModel, objects: tuple[SceneObject, ...], path: Array
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_path_leads_from_the_start_to_the_goal_around_what_is_in_between(
-    model: RobotModel, sides: tuple[Array, Array], seed: int
-) -> None:
+def test_a_path_leads_around_obstacles(model: RobotModel, sides: tuple[Array, Array], seed: int) -> None:
     start, goal = sides
     world = World(WALL, 0.0)
     assert not is_free(model, world, np.array(sides))
@@ -74,9 +72,7 @@ def test_a_path_leads_from_the_start_to_the_goal_around_what_is_in_between(
     assert_free(model, WALL, path)
 
 
-def test_with_a_margin_of_half_the_resolution_no_sphere_touches_anything(
-    model: RobotModel, sides: tuple[Array, Array]
-) -> None:
+def test_a_margin_of_half_the_resolution_touches_nothing(model: RobotModel, sides: tuple[Array, Array]) -> None:
     world = World(WALL, RESOLUTION / 2)
     path = search(model, world, sides[0], sides[1][None], seed=0, deadline=Deadline(30.0))
     assert path is not None
@@ -102,9 +98,7 @@ def test_of_several_goals_one_that_can_be_reached_is(model: RobotModel, sides: t
     assert_free(model, objects, path)
 
 
-def test_the_same_seed_gives_the_same_path_and_another_seed_another(
-    model: RobotModel, sides: tuple[Array, Array]
-) -> None:
+def test_the_same_seed_gives_the_same_path(model: RobotModel, sides: tuple[Array, Array]) -> None:
     world = World(WALL, 0.005)
     paths = [search(model, world, sides[0], sides[1][None], seed=seed, deadline=Deadline(30.0)) for seed in (1, 1, 2)]
     first, same, other = (path for path in paths if path is not None)
@@ -156,9 +150,7 @@ def test_searches_in_several_threads_do_not_disturb_each_other(model: RobotModel
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_shortened_path_is_free_keeps_its_ends_and_is_no_longer(
-    model: RobotModel, sides: tuple[Array, Array], seed: int
-) -> None:
+def test_a_shortened_path_is_free_and_keeps_its_ends(model: RobotModel, sides: tuple[Array, Array], seed: int) -> None:
     world = World(WALL, 0.0)
     path = search(model, world, sides[0], sides[1][None], seed=seed, deadline=Deadline(30.0))
     assert path is not None
@@ -218,7 +210,7 @@ def test_every_problem_of_motion_bench_maker_is_solved(name: str, scene: str, tm
 
 @pytest.mark.skipif(not motion_bench.AVAILABLE, reason="MotionBenchMaker's problems are not beside the repository")
 @pytest.mark.parametrize("name", motion_bench.ROBOTS)
-def test_the_goal_poses_of_motion_bench_maker_are_where_its_goals_are(name: str, tmp_path: Path) -> None:
+def test_motion_bench_maker_s_goals_are_where_they_should_be(name: str, tmp_path: Path) -> None:
     model = RobotModel.of(motion_bench.robot(name, tmp_path))
     for problem in motion_bench.problems(name, "box"):
         for goal, pose in zip(problem.goals, problem.goal_poses, strict=True):
@@ -245,9 +237,7 @@ def test_most_searches_find_the_way_into_a_cage_with_few_samples(tmp_path: Path)
     assert np.mean(found) > 0.6  # 0.46 if all samples are drawn anywhere
 
 
-def test_only_a_path_that_takes_less_than_was_allowed_is_returned(
-    model: RobotModel, sides: tuple[Array, Array]
-) -> None:
+def test_only_a_path_below_the_allowed_cost_is_returned(model: RobotModel, sides: tuple[Array, Array]) -> None:
     world, (start, goal) = World(WALL, 0.0), sides
 
     def quickest(within: float) -> Array | None:

@@ -198,9 +198,7 @@ def test_rows_that_are_no_vias_need_not_be_passed(model: RobotModel) -> None:
 @given(st.integers(0, 2**32), st.sampled_from([None, 200.0, 20.0]), st.sampled_from([0.004, 0.01, 0.02]))
 @example(3, None, 0.01)
 @example(1025, None, 0.02)
-def test_in_random_worlds_it_passes_its_vias_and_is_never_slower_than_with_stops(
-    seed: int, jerk: float | None, dt: float
-) -> None:
+def test_smoothing_passes_vias_and_is_never_slower(seed: int, jerk: float | None, dt: float) -> None:
     model = RobotModel.of(load_robot("panda"))
     rng = np.random.default_rng(seed)
     world = World(random_objects(8, 0.2, rng), 0.01)

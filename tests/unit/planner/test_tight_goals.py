@@ -110,7 +110,7 @@ def test_a_goal_between_two_boards_has_a_way_out_of_there(name: str, seed: int) 
                 assert len(end.way) == 0 or np.array_equal(end.way[-1], end.asked)
 
 
-def test_the_search_begins_further_away_than_the_first_place_that_is_free() -> None:
+def test_the_search_looks_beyond_the_first_free_place() -> None:
     """A tool held close above a table: the search must not end just above the margin, where hardly any edge is free."""
     model = MODELS["panda"]
     q = np.array(model.robot.descriptor.home)
@@ -142,7 +142,7 @@ class _Unlucky(FreePlanner):
 
 
 @pytest.mark.parametrize("proof", [None, PlanningFailed("no path to the goal", code="no_path")])
-def test_all_ways_to_reach_a_tight_pose_are_considered_once_the_first_few_lead_to_nothing(
+def test_all_solutions_of_a_tight_pose_are_tried(
     proof: PlanningFailed | None,
 ) -> None:
     for number in range(20):
@@ -158,7 +158,7 @@ def test_all_ways_to_reach_a_tight_pose_are_considered_once_the_first_few_lead_t
     assert len(planner.ends[1]) > len(planner.ends[0])
 
 
-def test_a_proof_that_there_is_no_path_counts_if_there_is_no_other_way_to_reach_the_goal() -> None:
+def test_a_proof_counts_if_there_is_no_other_solution() -> None:
     q, scene = shelf("panda", 0)
     home, goal = np.array(scene.model.robot.descriptor.home), JointGoal(kind="joints", position=tuple(q.tolist()))
     planner = _Unlucky(PlanningFailed("no path to the goal", code="no_path"))
@@ -202,7 +202,7 @@ def test_a_pose_that_nothing_reaches_free_is_refused_in_time() -> None:
     assert refused.value.code == "goal_in_collision"
 
 
-def test_the_only_free_way_to_reach_a_pose_is_taken_where_a_later_seed_finds_it(
+def test_the_only_free_solution_is_found_by_a_later_seed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     model = MODELS["doosan_m1013"]
@@ -234,7 +234,7 @@ def elbow(model: RobotModel, q: Array) -> Array:
     return link_pose(model.robot, "link_3", q)[:3, 3]
 
 
-def test_a_joint_goal_is_not_refused_before_many_ways_out_were_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_joint_goal_is_refused_only_after_many_attempts(monkeypatch: pytest.MonkeyPatch) -> None:
     found = (shelf("panda", number) for number in count())
     q, scene = next((q, scene) for q, scene in found if not is_free(scene.model, scene.world, q))
     real, refused = ends.way_out, iter(range(250))

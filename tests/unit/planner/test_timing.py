@@ -81,9 +81,7 @@ def test_jerk_holds_between_samples_too(points: Array, scale: float, deviation: 
 @given(waypoints, scales, deviations)
 @example(np.array([[0.0, 0, 0], [1, 1, 1], [0, 0, 0]]), 1.0, 0.05)  # there and straight back
 @example(np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 0], [2, 0, 0]]), 1.0, 0.05)  # a waypoint twice
-def test_the_motion_leads_from_the_first_to_the_last_point_from_rest_to_rest(
-    points: Array, scale: float, deviation: float
-) -> None:
+def test_the_motion_is_from_rest_to_rest_between_its_ends(points: Array, scale: float, deviation: float) -> None:
     path = points * scale
     motion = time_path(path, LIMITS, DT, deviation)
     assert np.allclose(motion.position[[0, -1]], path[[0, -1]], atol=1e-8)
@@ -95,9 +93,7 @@ def test_the_motion_leads_from_the_first_to_the_last_point_from_rest_to_rest(
 
 @examples(0.25)
 @given(waypoints, scales, deviations)
-def test_the_motion_leaves_the_path_by_no_more_than_the_deviation(
-    points: Array, scale: float, deviation: float
-) -> None:
+def test_the_motion_leaves_the_path_by_at_most_the_deviation(points: Array, scale: float, deviation: float) -> None:
     path = points * scale
     motion = time_path(path, LIMITS, DT, deviation)
     positions, _, _ = motion.sample(np.linspace(0.0, motion.duration, 2000))
@@ -146,7 +142,7 @@ def test_no_distance_at_all_gives_a_motion_that_stands_still() -> None:
 
 
 @pytest.mark.parametrize("factor", [0.5, 3.0])
-def test_load_is_the_factor_by_which_slower_running_keeps_the_limits(factor: float) -> None:
+def test_load_is_the_slowdown_that_keeps_the_limits(factor: float) -> None:
     motion = time_path(np.array([[0.0, 0, 0], [1, 2, 0], [3, 0, 1]]), LIMITS, DT, 0.05)
     other = motion.slower(factor)
     assert load(other.slower(load(other, LIMITS)), LIMITS) == pytest.approx(1.0, abs=1e-6)

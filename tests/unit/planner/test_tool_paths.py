@@ -292,7 +292,7 @@ def test_seam_around_a_post_with_a_free_turn_about_the_tool(name: str) -> None:
     keeps_limits(model, verified)
 
 
-def test_freedom_is_used_to_follow_a_line_that_a_fixed_tool_cannot() -> None:
+def test_freedom_follows_a_line_that_a_fixed_tool_cannot() -> None:
     begin = tip(M1013)
     target = shifted(begin, 0.45, 0.0, 0.0)
     with pytest.raises(PlanningFailed):

@@ -128,7 +128,7 @@ def test_program_with_a_mounted_tool_moves_its_tip(cell: Cell) -> None:
     assert np.linalg.norm(corner[:3, 3] - corners[0]) < 0.011
 
 
-def test_shapes_of_the_tool_keep_clear_of_obstacles_and_of_the_robot(cell: Cell) -> None:
+def test_tool_shapes_avoid_obstacles_and_the_robot(cell: Cell) -> None:
     at = (cell.flange(cell.home) @ [0.04, 0.0, 0.24, 1.0])[:3]
     post = Cuboid(kind="cuboid", name="post", position=tuple(at.tolist()), size=(0.02, 0.02, 0.02))
     cell.edit(AddObjects(op="add", objects=(post,)))

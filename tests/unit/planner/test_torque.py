@@ -94,7 +94,7 @@ def worst(plan: Plan, mass: float) -> float:
     return float((np.abs(inverse(mass, trajectory.sample(np.arange(0.0, trajectory.duration, 0.001)))) / limit).max())
 
 
-def test_a_light_robot_moves_as_fast_as_ever_and_says_what_it_needs(tmp_path: Path) -> None:
+def test_a_light_robot_is_not_slowed_and_reports_its_torque(tmp_path: Path) -> None:
     plan = to_there(planner(tmp_path))
     assert plan.torque is not None
     assert plan.torque.stretch == 1.0
@@ -149,7 +149,7 @@ def as_a_whole(dynamics: Dynamics, motion: TimedTrajectory) -> float:
 
 
 @pytest.mark.parametrize(("name", "mass"), [("panda", 3.0), ("ur5e", 6.0), ("ur10e", 12.5)])
-def test_a_motion_is_slowed_down_where_it_needs_more_and_not_elsewhere(name: str, mass: float) -> None:
+def test_a_motion_is_slowed_only_where_torque_needs_it(name: str, mass: float) -> None:
     robot = RobotModel.of(load_robot(name))
     dynamics, ratios = loaded(robot, mass), []
     for seed in range(40):
@@ -270,7 +270,7 @@ def test_the_torques_of_a_motion_are_those_of_pinocchio(tmp_path: Path) -> None:
     )
 
 
-def test_torques_that_nobody_knows_are_left_out_and_faulty_rows_refused(tmp_path: Path) -> None:
+def test_unknown_torques_are_left_out(tmp_path: Path) -> None:
     m1013 = RobotModel.of(load_robot("doosan_m1013"))
     assert planner(tmp_path, m1013).inverse_dynamics(InverseDynamicsRequest(joints=((0.0,) * 6,))).torque is None
     with pytest.raises(InvalidRequest, match="6 values for the 7 joints"):

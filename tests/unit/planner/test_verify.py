@@ -64,7 +64,7 @@ def test_what_stands_in_the_way_between_two_samples_is_met(model: RobotModel) ->
 
 @examples(0.5)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_no_point_moves_further_than_asked_from_one_look_to_the_next(seed: int) -> None:
+def test_no_point_moves_further_than_asked_between_checks(seed: int) -> None:
     rng = np.random.default_rng(seed)
     time = np.cumsum(rng.uniform(0.01, 1.0, 6)) - 0.01
     wild = TimedTrajectory(time, *rng.normal(size=(3, 6, 3)) * rng.uniform(0.0, 3.0, (3, 1, 3)))

@@ -159,7 +159,7 @@ def test_random_urdfs_are_read_as_yourdfpy_reads_them(tmp_path_factory: pytest.T
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: f"{file.parents[1].name}-{file.stem}")
-def test_robots_of_others_are_read_as_yourdfpy_reads_them_or_refused_with_a_reason(file: Path) -> None:
+def test_foreign_robots_are_read_as_by_yourdfpy_or_refused(file: Path) -> None:
     robot = described(file)
     if isinstance(robot, str):
         assert f"{file}:" in robot

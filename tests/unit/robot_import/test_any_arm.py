@@ -49,7 +49,7 @@ def source(package: str, path: str) -> Path:
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in ARMS])  # at once
-def test_an_arm_is_imported_and_its_motions_touch_nothing_on_the_original_meshes(name: str, tmp_path: Path) -> None:
+def test_an_imported_arm_s_motions_touch_no_original_mesh(name: str, tmp_path: Path) -> None:
     file = source(*ARMS[name])
     descriptor, report = import_robot(file, tmp_path, Options(name=name))
     out = Out.together([link.exact_out for link in report.fitted])

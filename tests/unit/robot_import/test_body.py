@@ -13,7 +13,7 @@ POINTS = np.array([(0.0, 0.0, 0.0), (0.04, 0.04, 0.04), (0.09, 0.0, 0.0), (0.11,
 IN_HULL = [True, True, True, False]
 
 
-def test_a_visual_mesh_that_is_wound_the_other_way_leaves_the_inside_inside() -> None:
+def test_an_inverted_visual_mesh_keeps_its_inside() -> None:
     for visual in (PART, PART[:, ::-1]):
         for collision in (HULL, HULL[:, ::-1]):
             body = Body.of(collision, visual)
@@ -28,6 +28,6 @@ def test_what_sticks_out_of_the_collision_geometry_is_inside_too() -> None:
     assert body.inside(points).tolist() == [True, True, True, False]
 
 
-def test_geometry_that_only_all_kinds_together_close_has_an_inside() -> None:
+def test_geometry_closed_only_together_has_an_inside() -> None:
     faces = [HULL[np.isclose(np.abs(HULL[:, :, axis]), 0.1).all(axis=1)] for axis in range(3)]
     assert Body.of(*faces).inside(POINTS).tolist() == IN_HULL

@@ -53,9 +53,7 @@ def test_an_arm_ends_where_what_grips_begins(tmp_path: Path, more: list[Row], ex
 
 
 @pytest.mark.parametrize("limits", [(-0.17, 1.75), (-1.57, 0.0)])
-def test_a_last_joint_that_opens_to_one_side_may_be_a_jaw_so_it_is_asked(
-    tmp_path: Path, limits: tuple[float, float]
-) -> None:
+def test_a_one_sided_last_joint_may_be_a_jaw_and_is_asked(tmp_path: Path, limits: tuple[float, float]) -> None:
     last = JOINT.replace('lower="-1" upper="1"', 'lower="{}" upper="{}"'.format(*limits))
     text = "".join([*(LINK.format(f"link_{k}") for k in range(7)), *(JOINT.format(*row) for row in ARM)])
     file = tmp_path / "arm.urdf"
@@ -71,7 +69,7 @@ def test_a_last_joint_that_opens_to_one_side_may_be_a_jaw_so_it_is_asked(
     assert [joint.name for joint in choose_chain(robot, names=names).joints] == names
 
 
-def test_two_arms_with_hands_are_a_group_each_and_their_fingers_are_none(tmp_path: Path) -> None:
+def test_two_arms_with_hands_are_a_group_each(tmp_path: Path) -> None:
     arms = [(f"{side}_{name}", f"{side}_{parent}", f"{side}_{child}") for side in "lr" for name, parent, child in ARM]
     mounts = [(f"{side}_mount", "torso", f"{side}_link_0") for side in "lr"]
     fingers = [(f"{side}_finger_{k}", f"{side}_link_5", f"{side}_finger_{k}") for side in "lr" for k in range(2)]
@@ -108,7 +106,7 @@ def test_arms_whose_names_say_nothing_are_numbered(tmp_path: Path) -> None:
     assert [group.name for group in chain(tmp_path, rows).groups] == ["arm_1", "arm_2"]
 
 
-def test_arms_with_more_joints_than_a_robot_may_have_are_offered_one_by_one(tmp_path: Path) -> None:
+def test_arms_with_too_many_joints_are_offered_one_by_one(tmp_path: Path) -> None:
     arms = [row for number in range(4) for row in finger(f"arm{number}", "base", 9)]
     with pytest.raises(InvalidRequest, match=r"several chains start at base; choose one: --tip arm0_8, --tip arm1_8"):
         chain(tmp_path, arms)

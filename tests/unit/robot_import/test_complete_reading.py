@@ -64,7 +64,7 @@ def test_limits_of_acceleration_and_jerk_are_taken(tmp_path: Path) -> None:
     assert {(limit.acceleration, limit.jerk, limit.assumed) for limit in limits} == {(8.0, 90.0, ())}
 
 
-def test_a_continuous_joint_may_have_infinite_limits_and_no_other(tmp_path: Path) -> None:
+def test_only_a_continuous_joint_may_have_infinite_limits(tmp_path: Path) -> None:
     endless = 'lower="-inf" upper="1e308" velocity="2"'
     urdf, _ = both(tmp_path, arm(kind="continuous", limit=endless))
     assert {(joint.lower, joint.upper) for joint in urdf.joint_of_child.values()} == {(None, None)}
@@ -92,7 +92,7 @@ def test_what_could_change_the_robot_is_refused_by_both_readers(tmp_path: Path, 
         assert sentence in refused.value.problem.message
 
 
-def test_what_has_no_effect_is_said_and_a_fixed_joint_needs_no_axis(tmp_path: Path) -> None:
+def test_ineffective_elements_are_reported(tmp_path: Path) -> None:
     more = '<link name="x"/><joint name="f" type="fixed"><parent link="hand3"/><child link="x"/><axis xyz="0 0 0"/></joint>'
     for read in both(tmp_path, arm(more=f'{more}<thing version="3"/><transmission/>')):
         (note,) = read.notes

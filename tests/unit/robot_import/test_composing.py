@@ -39,7 +39,7 @@ def test_an_arm_on_another_moves_with_its_tip(tmp_path: Path) -> None:
     assert np.allclose(whole.fk_link("left_rod", q), there, atol=1e-9)
 
 
-def test_the_distance_of_both_arms_is_that_of_each_beside_the_other(tmp_path: Path) -> None:
+def test_the_distance_of_both_arms_matches_each_alone(tmp_path: Path) -> None:
     both = RobotModel.of(load_robot(str(two_pandas(tmp_path))))
     exact, empty = ExactScene(both, World((), 0.0)), World((), 0.0)
     rng, apart = np.random.default_rng(1), 0
@@ -57,7 +57,7 @@ def test_the_distance_of_both_arms_is_that_of_each_beside_the_other(tmp_path: Pa
     assert apart > 5
 
 
-def test_the_distance_along_a_motion_is_the_least_of_its_configurations(tmp_path: Path) -> None:
+def test_distance_along_a_motion_is_the_least_of_its_samples(tmp_path: Path) -> None:
     """Of two arms that pass each other: the search along the motion leaves out nothing that comes near."""
     model = RobotModel.of(load_robot(str(torso_with_arms(tmp_path))))
     exact, rng, near = ExactScene(model, World((), 0.0)), np.random.default_rng(4), 0

@@ -70,7 +70,7 @@ def test_a_broken_surface_is_contained_as_tightly_as_a_sound_one(tmp_path: Path,
 
 @pytest.mark.slow
 @pytest.mark.lengthy
-def test_a_mesh_with_too_many_triangles_is_contained_by_what_is_made_of_fewer(tmp_path: Path) -> None:
+def test_a_simplified_mesh_contains_the_original(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(7, 0.1)
     given = np.asarray(ball.triangles)
     assert len(given) > MOST_KEPT
@@ -114,7 +114,7 @@ def test_a_file_that_is_no_mesh_is_said_with_its_place(tmp_path: Path, content: 
     assert "\n" not in refused.value.problem.message
 
 
-def test_a_mesh_without_numbers_is_refused_and_one_with_some_is_named(tmp_path: Path) -> None:
+def test_a_mesh_without_valid_numbers_is_refused(tmp_path: Path) -> None:
     nothing = np.full((3, 3), np.nan)
     with pytest.raises(InvalidRequest, match="has only NaN or infinite coordinates; export it again"):
         surface(tmp_path, trimesh.Trimesh(nothing, [[0, 1, 2]], process=False))
@@ -180,7 +180,7 @@ XACRO = '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot
         ),
     ],
 )
-def test_what_cannot_be_imported_is_said_in_one_sentence_and_leaves_nothing(
+def test_a_failed_import_says_why_and_leaves_nothing(
     tmp_path: Path, content: bytes | str, options: dict[str, Any], sentence: str
 ) -> None:
     file = tmp_path / "arm.urdf"
@@ -203,7 +203,7 @@ def test_a_descriptor_that_is_there_is_not_replaced_unasked(tmp_path: Path) -> N
     assert list(there.parent.iterdir()) == [there]
 
 
-def test_a_folder_in_which_nothing_can_be_written_is_said_before_anything_is_computed(tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_reported_before_computing(tmp_path: Path) -> None:
     (file := tmp_path / "a.urdf").write_text(two_joints())
     with pytest.raises(InvalidRequest, match=r"cannot write into .*; name another folder with --output"):
         import_robot(file, file / "out", Options(), pytest.fail)
@@ -234,7 +234,7 @@ def test_an_odd_arm_is_imported_with_a_warning(tmp_path: Path, text: str, warnin
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize("count", sampled(3, 12))
-def test_many_joints_without_limits_with_strange_names_on_a_floating_base(tmp_path: Path, count: int) -> None:
+def test_joints_without_limits_on_a_floating_base_are_imported(tmp_path: Path, count: int) -> None:
     shape = '<collision><origin xyz="0 0 0.1"/><geometry><cylinder radius="0.02" length="0.15"/></geometry></collision>'
     nothing = '<visual><geometry><box size="0 0 0"/></geometry></visual>'
     links = ['<link name="world"/>', *(f'<link name="glied ü{i}">{shape}</link>' for i in range(count + 1))]
@@ -259,7 +259,7 @@ def test_many_joints_without_limits_with_strange_names_on_a_floating_base(tmp_pa
 
 
 @pytest.mark.lengthy
-def test_what_has_no_size_and_limits_in_degrees_are_imported_with_a_warning(tmp_path: Path) -> None:
+def test_missing_sizes_and_degrees_are_imported_with_a_warning(tmp_path: Path) -> None:
     sizes = "0.1 0.1 0.1", "0 0 0", "0.1 0.1 0.1"
     links = [
         f'<link name="l{i}"><collision><geometry><box size="{size}"/></geometry></collision></link>'
@@ -278,7 +278,7 @@ def test_what_has_no_size_and_limits_in_degrees_are_imported_with_a_warning(tmp_
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar"])
-def test_where_nothing_but_what_floats_moves_it_is_refused_with_its_line(tmp_path: Path, kind: str) -> None:
+def test_where_only_floating_joints_move_it_is_refused(tmp_path: Path, kind: str) -> None:
     file = tmp_path / "drone.urdf"
     file.write_text(
         f'<robot name="drone">\n<link name="a"/><link name="b"/>\n<joint name="free" type="{kind}">'

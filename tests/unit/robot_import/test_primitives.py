@@ -38,7 +38,7 @@ SHAPES = {"box": BOX, "tube": TUBE, "ball": BALL, "capsule": CAPSULE, "elbow": E
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize("name", SHAPES)
-def test_primitives_contain_every_corner_and_stand_out_no_more_than_is_wanted(name: str) -> None:
+def test_primitives_contain_every_corner_tightly(name: str) -> None:
     triangles = SHAPES[name]
     body = Body.of(triangles)
     rows = rows_of(fit_primitives(body))
@@ -52,7 +52,7 @@ def test_primitives_contain_every_corner_and_stand_out_no_more_than_is_wanted(na
 
 
 @pytest.mark.lengthy
-def test_what_is_left_out_of_the_second_kind_of_geometry_is_contained_with_its_tolerance(
+def test_the_second_kind_of_geometry_is_contained_with_tolerance(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(decomposition, "_ENOUGH", 0.0)
@@ -80,7 +80,7 @@ def test_a_link_that_is_a_primitive_is_taken_for_that(name: str, kind: str) -> N
     assert [primitive.kind for primitive in fit_primitives(Body.of(SHAPES[name]))] == [kind]
 
 
-def test_cut_triangles_lie_on_their_sides_of_the_plane_and_keep_their_area() -> None:
+def test_cut_triangles_stay_on_their_side_and_keep_their_area() -> None:
     normal = np.array((0.6, 0.0, 0.8))
     below, above, across = cut(ELBOW, normal, 0.11)
     assert (below @ normal).max() <= 0.11 + 1e-12
@@ -90,7 +90,7 @@ def test_cut_triangles_lie_on_their_sides_of_the_plane_and_keep_their_area() -> 
 
 
 @pytest.mark.parametrize(("half", "radius"), [(0.1, 0.03), (1e-4, 0.05), (0.0, 0.04)])
-def test_the_surface_of_a_capsule_is_its_radius_away_from_its_axis(half: float, radius: float) -> None:
+def test_a_capsule_s_surface_is_its_radius_from_its_axis(half: float, radius: float) -> None:
     row = np.zeros(17)
     row[[0, 5, 10]], row[14], row[16] = 1.0, half, radius
     points = triangles_of(row).reshape(-1, 3)

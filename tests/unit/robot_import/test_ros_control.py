@@ -43,12 +43,12 @@ def test_a_parameter_of_the_hardware_names_it(tmp_path: Path) -> None:
     assert controller(tmp_path, system=system) == "joint_trajectory_controller"
 
 
-def test_the_parameters_of_a_simulator_name_the_one_with_the_joints_of_the_arm(tmp_path: Path) -> None:
+def test_simulator_parameters_name_the_arm_s_controller(tmp_path: Path) -> None:
     (tmp_path / "controllers.yaml").write_text(CONTROLLERS)
     assert controller(tmp_path, PLUGIN) == "cell/arm_controller"
 
 
-def test_there_is_none_where_none_is_named_or_other_joints_are_moved(tmp_path: Path) -> None:
+def test_there_is_no_controller_without_a_name_or_for_others(tmp_path: Path) -> None:
     assert controller(tmp_path) is None
     (tmp_path / "controllers.yaml").write_text(CONTROLLERS)
     assert controller(tmp_path, PLUGIN, joints="one") is None

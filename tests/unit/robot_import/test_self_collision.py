@@ -74,7 +74,7 @@ SHORT = '<geometry><box size="0.04 0.04 0.04"/></geometry>'
 ENDS = frozenset(("post", "bar"))
 
 
-def test_a_pair_that_parts_stays_checked_though_what_contains_it_always_touches(tmp_path: Path) -> None:
+def test_a_pair_that_parts_stays_checked(tmp_path: Path) -> None:
     surfaces, pairs = imported(arm(tmp_path, BAR), "post", "elbow", "bar")
     assert not pairs[ENDS].ignored
     assert surfaces["bar"].kind == "collision"
@@ -87,14 +87,14 @@ def test_a_pair_that_a_gripper_may_bring_together_stays_checked(tmp_path: Path) 
     assert not imported(file, "post", "elbow", "bar", travel=0.03)[1][ENDS].ignored
 
 
-def test_what_is_seen_of_a_link_is_kept_however_far_it_sticks_out(tmp_path: Path) -> None:
+def test_visible_parts_are_kept_however_far_they_stick_out(tmp_path: Path) -> None:
     surfaces, pairs = imported(arm(tmp_path, SHORT, seen(0.15, 0.3)), "post", "elbow", "bar")
     assert surfaces["bar"].kind == "both"
     assert np.ptp(surfaces["bar"].triangles[..., 2]) > 0.29
     assert not pairs[ENDS].ignored
 
 
-def test_a_visual_mesh_that_never_lets_a_pair_part_is_left_out_with_that_reason(tmp_path: Path) -> None:
+def test_a_visual_mesh_that_always_collides_is_left_out(tmp_path: Path) -> None:
     surfaces, pairs = imported(arm(tmp_path, BAR, seen(0.0, 0.25, 0.25)), "post", "elbow", "bar")
     assert surfaces["bar"].kind == "collision"
     assert np.ptp(surfaces["bar"].triangles[..., 2]) < 0.21
@@ -103,7 +103,7 @@ def test_a_visual_mesh_that_never_lets_a_pair_part_is_left_out_with_that_reason(
 
 
 @pytest.mark.lengthy
-def test_pairs_of_the_panda_are_checked_whose_collision_geometry_parts_and_touches() -> None:
+def test_panda_pairs_that_part_and_touch_are_checked() -> None:
     spec = find_spec("rtbdata")
     assert spec is not None
     assert spec.submodule_search_locations

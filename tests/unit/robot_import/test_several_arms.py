@@ -75,7 +75,7 @@ def test_links_are_where_the_source_has_them(made: Path) -> None:
     assert model.fk_tip(q, "right")[:3, 3] == pytest.approx((-x, -y, 0.2 + 0.2 + 3 * 0.25))
 
 
-def test_home_is_free_and_the_arms_are_checked_against_each_other(made: Path) -> None:
+def test_home_is_free_and_arms_are_checked_against_each_other(made: Path) -> None:
     robot = load_robot(str(made))
     model = RobotModel.of(robot)
     assert ExactScene(model, World((), 0.0)).nearest(np.array(robot.descriptor.home)).distance > 0.0

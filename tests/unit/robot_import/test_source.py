@@ -234,7 +234,7 @@ def test_a_xacro_is_expanded_with_the_packages_around_it(tmp_path: Path) -> None
     assert [one.name for one in choose_chain(describe(read_source(file))).joints] == ["one"]
 
 
-def test_a_xacro_that_cannot_be_expanded_leaves_the_next_one_as_it_is(tmp_path: Path) -> None:
+def test_a_failing_xacro_leaves_the_next_one_unharmed(tmp_path: Path) -> None:
     """Also one whose package has no package.xml, and is found by the name of its folder."""
     folder = tmp_path / "kr_arm" / "urdf"
     folder.mkdir(parents=True)
@@ -261,7 +261,7 @@ def test_a_xacro_takes_arguments_and_says_which_it_lacks(tmp_path: Path) -> None
     assert [one.name for one in choose_chain(describe(read_source(file, (), {"side": "left"}))).joints] == ["left_one"]
 
 
-def test_the_fingerprint_changes_with_all_that_a_robot_is_made_of_and_nothing_else(tmp_path: Path) -> None:
+def test_the_fingerprint_changes_with_the_robot_and_nothing_else(tmp_path: Path) -> None:
     mesh, part, file = tmp_path / "meshes" / "a.stl", tmp_path / "urdf" / "part.xacro", tmp_path / "urdf" / "arm.xacro"
     mesh.parent.mkdir()
     part.parent.mkdir()

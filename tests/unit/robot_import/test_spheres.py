@@ -38,7 +38,7 @@ def within(points: np.ndarray, balls: np.ndarray) -> np.ndarray:
     return (np.linalg.norm(points[:, None] - balls[:, :3], axis=2) <= balls[:, 3]).any(axis=1)
 
 
-def test_a_ball_around_many_small_shapes_stands_out_by_what_is_outside_of_all() -> None:
+def test_a_sphere_s_excess_is_what_is_outside_all_shapes() -> None:
     cubes: list[CollisionPrimitive] = [
         CollisionCuboid(kind="cuboid", center=(x, y, z), size=(0.05, 0.05, 0.05), orientation=(0.0, 0.0, 0.0, 1.0))
         for x, y, z in itertools.product((-0.025, 0.025), repeat=3)
@@ -58,7 +58,7 @@ def test_a_cover_contains_every_shape_within_its_budget() -> None:
 
 
 @pytest.mark.lengthy
-def test_a_tube_costs_a_third_more_than_its_own_volume_in_twelve_balls() -> None:
+def test_a_tube_costs_a_third_more_volume_in_twelve_spheres() -> None:
     """The least that balls in a row can do is a fifth more: what their waists need, and half a ball at each end."""
     (balls,) = fit_covers({"tube": rows_of([TUBE])}, {"tube": 1}, 12).values()
     space = np.random.default_rng(1).uniform((-0.2, -0.2, -0.2), (0.2, 0.2, 0.8), (100_000, 3))
@@ -67,14 +67,14 @@ def test_a_tube_costs_a_third_more_than_its_own_volume_in_twelve_balls() -> None
 
 
 @pytest.mark.lengthy
-def test_what_stands_still_gets_fewer_balls_and_what_more_joints_carry_gets_more() -> None:
+def test_links_that_move_more_get_more_spheres() -> None:
     same = rows_of([TUBE])
     covers = fit_covers({"base": same, "arm": same, "hand": same}, {"base": 0, "arm": 1, "hand": 6}, 24)
     assert len(covers["base"]) < len(covers["arm"]) < len(covers["hand"])
 
 
 @pytest.mark.lengthy
-def test_a_small_link_gets_as_many_balls_as_a_large_one_of_its_shape() -> None:
+def test_small_and_large_links_get_equally_many_spheres() -> None:
     small = CollisionCylinder(kind="cylinder", a=(0.0, 0.0, 0.0), b=(0.0, 0.0, 0.15), radius=0.015)
     covers = fit_covers({"large": rows_of([TUBE]), "small": rows_of([small])}, {"large": 1, "small": 1}, 20)
     assert len(covers["small"]) >= 6

@@ -52,7 +52,7 @@ def test_groups_of_the_same_joints_have_its_names() -> None:
     assert names(srdf.renamed(choose_chain(robot)))[2:] == ["spine", "spine+left_arm", "spine+right_arm"]
 
 
-def test_it_says_which_joints_are_the_arm_where_the_structure_does_not() -> None:
+def test_an_srdf_names_the_arm_where_structure_does_not() -> None:
     robot, srdf = of(ROBOPLAN / "so101_robot_model/so101.urdf")
     with pytest.raises(InvalidRequest, match="may be the arm's last one or a gripper"):
         choose_chain(robot)
@@ -88,7 +88,7 @@ def srdf_text(home: tuple[float, ...]) -> str:
 
 
 @pytest.mark.lengthy
-def test_an_imported_robot_has_its_home_and_the_name_of_its_gripper(tmp_path: Path) -> None:
+def test_an_imported_robot_has_its_srdf_home_and_gripper(tmp_path: Path) -> None:
     source = tmp_path / "urdf" / "small.urdf"
     source.parent.mkdir()
     source.write_text(urdf())

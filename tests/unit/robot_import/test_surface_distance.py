@@ -12,7 +12,7 @@ from zarm_robot_import.surface_distance import SurfaceDistance, sticks_out
 BOX = np.array(trimesh.creation.box((1.4, 0.9, 0.6)).triangles)
 
 
-def test_distances_to_a_large_box_are_never_too_small_and_hardly_too_large() -> None:
+def test_distances_to_a_large_box_are_tight_lower_bounds() -> None:
     points = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 3))
     beyond = np.abs(points) - (0.7, 0.45, 0.3)
     expected = np.where(

@@ -30,7 +30,7 @@ def _single(value: float) -> float:
 
 
 @given(COMMANDS)
-def test_a_driver_that_counts_anew_with_each_command_is_never_said_to_be_further_than_it_is(
+def test_per_command_progress_is_never_overestimated(
     commands: list[tuple[int, float]],
 ) -> None:
     reader = ProgressReader()
@@ -50,7 +50,7 @@ def test_a_driver_that_counts_anew_with_each_command_is_never_said_to_be_further
 @example([(227, 0.30078125), (50, 1.0)])
 @example([(42, 0.75), (1, 0.0)])
 @example([(100, 0.3), (50, 1.0)])
-def test_a_driver_that_counts_on_over_commands_that_replace_one_another_is_never_said_to_be_further_than_it_is(
+def test_cumulative_progress_is_never_overestimated(
     commands: list[tuple[int, float]],
 ) -> None:
     reader = ProgressReader()

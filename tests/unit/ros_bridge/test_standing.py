@@ -26,18 +26,18 @@ def test_of_a_robot_that_stands_some_are_passed_on() -> None:
     assert passed(lambda _: 0.5) == 17
 
 
-def test_they_come_often_enough_for_a_planner_however_long_the_executor_waits() -> None:
+def test_they_are_frequent_enough_for_a_planner() -> None:
     assert passed(lambda _: 0.5, timeout=5.0) == 10
 
 
-def test_they_come_more_often_the_sooner_the_executor_misses_them() -> None:
+def test_they_are_more_frequent_for_an_impatient_executor() -> None:
     standing = Standing(0.02)
     state = JointState(stamp=0.0, joint_names=("a",), position=(0.0,), velocity=(0.0,))
     assert [standing.passes(state, step / 100) for step in range(3)] == [True, True, True]
 
 
 @pytest.mark.parametrize("period", [0.001, 0.007, 0.013, 0.02, 0.035, 0.05, 0.08])
-def test_those_passed_on_are_no_further_apart_than_an_executor_waits(period: float) -> None:
+def test_they_are_never_further_apart_than_the_executor_waits(period: float) -> None:
     standing, at = Standing(TIMEOUT), []
     for step in range(100):
         state = JointState(stamp=0.0, joint_names=("a",), position=(0.0,), velocity=(0.0,))
@@ -65,7 +65,7 @@ def test_the_first_that_moves_is_passed_on_at_once() -> None:
         assert standing.passes(state, now) == due
 
 
-def test_the_next_ones_may_wait_as_long_as_it_stands_and_for_less_than_two_are_apart() -> None:
+def test_the_interval_at_rest_grows_within_bounds() -> None:
     for timeout in (0.02, TIMEOUT):
         standing, pauses = Standing(timeout), []
         for step, position in enumerate((0.0, 0.0, 0.001, 0.001)):

@@ -43,7 +43,7 @@ TERMS = Terms("/left/unified_planner", Keys("left"), load_robot("doosan_m1013").
         ),
     ],
 )
-def test_a_key_that_has_a_name_on_ros_is_told_by_it_and_all_else_as_it_is(said: str, reported: str) -> None:
+def test_a_key_with_a_ros_name_is_translated(said: str, reported: str) -> None:
     assert TERMS.of(said) == reported
 
     def refuse() -> None:

@@ -58,7 +58,7 @@ def test_colour_is_there_only_on_request() -> None:
     assert coloured.startswith("\x1b[36m")
 
 
-def test_of_a_flood_of_warnings_the_first_are_logged_and_the_last_of_them_says_so() -> None:
+def test_a_flood_of_warnings_is_limited_and_says_so() -> None:
     lines = logged("for n in range(1000):\n  log.warning('dropped n=%d', n)\n  log.info('served')\nlog.error('other')")
     dropped = [line for line in lines if "dropped" in line]
     assert len(dropped) == 20
@@ -79,7 +79,7 @@ def objects(program: str) -> list[dict[str, object]]:
     return [json.loads(line) for line in logged(program, ZARM_LOG_FORMAT="json", ZARM_COLOUR="1")]
 
 
-def test_an_event_is_one_json_object_with_its_values_as_they_were() -> None:
+def test_an_event_is_one_json_object() -> None:
     (plain, named) = objects(
         "log.info('planned goal_id=%s seconds=%.2f count=%d remedy=add_%s_GB', 'g1', 0.256, 3, 4)\n"
         "from zarm_runtime.logs import name_robot; name_robot('arm')\n"

@@ -40,7 +40,7 @@ def stamped(stamp: float) -> m.JointState:
 
 
 @pytest.mark.lengthy
-def test_every_value_of_a_burst_arrives_at_a_reader_that_stands_still_for_a_moment() -> None:
+def test_every_value_of_a_burst_reaches_a_slow_reader() -> None:
     """As many as no buffer between the two holds."""
     config = router_config(free_endpoint())
     config.insert_json5("transport/link/tx/queue/congestion_control/block/wait_before_close", str(int(PATIENCE * 1e6)))
@@ -78,7 +78,7 @@ def test_every_value_of_a_burst_arrives_at_a_reader_that_stands_still_for_a_mome
     assert seen == [value.elapsed for value in values]
 
 
-def test_a_late_joiner_sees_the_present_state_and_then_every_change(bus: Bus, other: Bus) -> None:
+def test_a_late_joiner_gets_the_present_state_and_changes(bus: Bus, other: Bus) -> None:
     state = bus.latched(KEYS.executor_state)
     state.set(RUNNING)
     state.set(IDLE)
@@ -110,7 +110,7 @@ def test_a_latched_value_that_is_not_set_yet_answers_nothing(bus: Bus, other: Bu
     assert inbox.empty()
 
 
-def test_a_change_can_be_read_at_once_and_is_published_with_all_before_it(bus: Bus, other: Bus) -> None:
+def test_a_change_can_be_read_at_once_and_is_published_in_order(bus: Bus, other: Bus) -> None:
     states, seen = bus.latched(KEYS.executor_state), queue.SimpleQueue[m.ExecutorState]()
     other.subscribe(KEYS.executor_state, lambda _, state: seen.put(state))
     declared(other)
@@ -168,7 +168,7 @@ def test_a_watcher_of_a_family_sees_every_member_and_new_ones(bus: Bus, other: B
 
 
 @pytest.mark.lengthy
-def test_what_a_watcher_missed_while_its_link_was_down_is_told_when_that_is_back(bus: Bus, endpoint: str) -> None:
+def test_a_watcher_gets_what_it_missed_while_disconnected(bus: Bus, endpoint: str) -> None:
     state, goals = bus.latched(KEYS.executor_state), bus.latched(KEYS.goal("*"))
     state.set(IDLE)
     declared(bus)
@@ -249,7 +249,7 @@ def test_a_subscriber_drops_what_it_cannot_read_and_goes_on(
     assert all(KEYS.executor_state in record.getMessage() for record in caplog.records)
 
 
-def test_a_subscriber_that_fails_is_logged_and_gets_the_next_message(
+def test_a_failing_subscriber_is_logged_and_goes_on(
     plain: zenoh.Session, other: Bus, caplog: pytest.LogCaptureFixture
 ) -> None:
     inbox: Inbox = queue.SimpleQueue()
@@ -315,7 +315,7 @@ def test_the_newest_message_is_kept_and_knows_its_age(bus: Bus, other: Bus, real
     assert latest.get(max_age=0.0) is None
 
 
-def test_waiting_returns_the_next_message_and_not_the_present_one(plain: zenoh.Session, other: Bus) -> None:
+def test_waiting_returns_the_next_message(plain: zenoh.Session, other: Bus) -> None:
     latest = other.latest(KEYS.joint_states)
     declared(other)
     plain.put(KEYS.joint_states, encode(stamped(1.0)))
@@ -368,7 +368,7 @@ def test_a_token_shows_a_process_until_it_ends(endpoint: str, other: Bus) -> Non
 # -- observation --
 
 
-def test_an_observer_is_told_all_that_is_sent_and_received_as_it_went_over_the_bus(bus: Bus, other: Bus) -> None:
+def test_an_observer_gets_all_raw_messages(bus: Bus, other: Bus) -> None:
     bus.latched(KEYS.executor_state).set(IDLE)
     declared(bus)
     sent: list[tuple[str, bytes]] = []

@@ -78,9 +78,7 @@ def test_a_problem_crosses_the_bus_as_its_exception(bus: Bus, other: Bus, code: 
     assert refusal.value.problem == problem
 
 
-def test_an_exception_of_a_handler_becomes_internal_and_is_logged_with_its_trace(
-    bus: Bus, other: Bus, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_handler_s_exception_is_internal_and_logged(bus: Bus, other: Bus, caplog: pytest.LogCaptureFixture) -> None:
     def handler(_: m.FkRequest) -> m.FkPoses:
         raise ZeroDivisionError("a fault of the handler")
 
@@ -101,9 +99,7 @@ def test_a_handler_that_failed_serves_the_next_request(bus: Bus, other: Bus) -> 
     assert call(other) == ANSWER
 
 
-def test_no_client_waits_for_what_a_handler_leaves_for_after_the_answer(
-    bus: Bus, other: Bus, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_work_after_the_answer_delays_no_client(bus: Bus, other: Bus, caplog: pytest.LogCaptureFixture) -> None:
     answered, done = threading.Event(), threading.Event()
 
     def finish() -> None:
@@ -153,7 +149,7 @@ def test_a_request_over_the_limit_is_refused(bus: Bus, other: Bus) -> None:
     assert refusal.value.problem.field == "payload"
 
 
-def test_with_all_workers_taken_and_the_backlog_full_the_next_request_is_busy(bus: Bus, other: Bus) -> None:
+def test_a_full_backlog_refuses_as_busy(bus: Bus, other: Bus) -> None:
     entered, release = threading.Semaphore(0), threading.Event()
 
     def handler(_: m.FkRequest) -> m.FkPoses:
@@ -252,7 +248,7 @@ def test_looking_around_sets_off_no_command(bus: Bus, plain: zenoh.Session) -> N
     assert moved == []
 
 
-def test_looking_around_reads_what_is_readable_and_changes_nothing(bus: Bus, plain: zenoh.Session) -> None:
+def test_reading_everything_readable_changes_nothing(bus: Bus, plain: zenoh.Session) -> None:
     settings = m.PlannerSettings()
     changes: list[m.SettingsChange] = []
 
@@ -304,7 +300,7 @@ def test_a_handler_is_told_who_asks_and_how_long_that_waits(bus: Bus, other: Bus
     assert requester() == ANYONE
 
 
-def test_one_client_has_its_share_of_requests_in_hand_and_another_is_served(bus: Bus, other: Bus) -> None:
+def test_a_client_has_its_share_of_requests(bus: Bus, other: Bus) -> None:
     entered, release = threading.Semaphore(0), threading.Event()
 
     def handler(_: m.FkRequest) -> m.FkPoses:
@@ -364,7 +360,7 @@ with Bus({endpoint!r}) as bus:
 # -- answers that cannot be sent --
 
 
-def test_an_answer_that_cannot_be_sent_is_logged_with_its_trace_and_counted(
+def test_an_answer_that_cannot_be_sent_is_logged_and_counted(
     bus: Bus, other: Bus, plain: zenoh.Session, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     outcomes: list[str] = []

@@ -29,7 +29,7 @@ def run(program: str, *arguments: str) -> list[str]:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
 
 
-def test_where_priority_is_not_allowed_nothing_changes_and_nothing_fails() -> None:
+def test_without_permission_for_priority_nothing_fails() -> None:
     program = (
         f"{ALLOWED}{FORBIDDEN}"
         "print(ask_for_realtime(PROCESS_PRIORITY))\n"
@@ -39,7 +39,7 @@ def test_where_priority_is_not_allowed_nothing_changes_and_nothing_fails() -> No
     assert run(program) == ["False", "True"]
 
 
-def test_the_threads_of_a_router_have_priority_and_whoever_opened_it_has_none() -> None:
+def test_a_router_s_threads_have_priority_and_its_owner_not() -> None:
     program = (
         f"{ALLOWED}"
         "from zarm_runtime.session import open_router\n"
@@ -58,7 +58,7 @@ def test_the_threads_of_a_router_have_priority_and_whoever_opened_it_has_none() 
 @pytest.mark.skipif(
     not hasattr(os, "sched_setscheduler"), reason="this system knows no real-time priority for a thread"
 )
-def test_a_process_that_asks_for_priority_has_it_in_every_thread_that_it_starts() -> None:
+def test_priority_reaches_every_thread_of_the_process() -> None:
     program = (
         f"{ALLOWED}"
         "import threading\n"

@@ -53,7 +53,7 @@ def path(tmp_path: Path) -> Path:
 
 @examples(0.5, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(content=st.lists(entries, max_size=20))
-def test_whatever_is_written_is_read_back_in_the_order_of_its_time(path: Path, content: list[Entry]) -> None:
+def test_a_record_is_read_back_in_order_of_time(path: Path, content: list[Entry]) -> None:
     assert list(read_record(write(path, content))) == sorted(content, key=lambda entry: entry[0])
 
 
@@ -64,7 +64,7 @@ def test_messages_that_are_written_are_read_back_equal(path: Path, states: list[
     assert [decode(JointState, payload) for _, _, payload in read_record(path)] == states
 
 
-def test_a_record_has_channels_schemas_statistics_and_an_index_that_viewers_need(path: Path) -> None:
+def test_a_record_has_channels_schemas_statistics_and_an_index(path: Path) -> None:
     goals = [KEYS.goal("goal-1"), KEYS.goal("goal-2")]
     others = [key for key in RECORDED.keys if "*" not in key]
     write(path, [(at, key, b"{}") for at, key in enumerate(goals + others)])
@@ -82,7 +82,7 @@ def test_a_record_has_channels_schemas_statistics_and_an_index_that_viewers_need
 
 
 @pytest.mark.parametrize("model", sorted({key.model for key in RECORDED.keys.values()}, key=schema), ids=schema)
-def test_the_schema_of_every_recorded_class_is_one_that_foxglove_reads(model: type) -> None:
+def test_foxglove_reads_the_schema_of_every_recorded_class(model: type) -> None:
     def readable(node: dict[str, Any]) -> None:  # as parseJsonSchema of foxglove/studio has it
         for name, field in node["properties"].items():
             assert field["type"] in ("boolean", "string", "number", "integer", "object", "array"), name
@@ -114,7 +114,7 @@ def test_a_record_appears_when_it_is_whole(path: Path) -> None:
     assert [each.name for each in path.parent.iterdir()] == [path.name]
 
 
-def test_values_that_held_before_keep_the_time_of_their_publication(path: Path) -> None:
+def test_earlier_values_keep_their_time_of_publication(path: Path) -> None:
     file = RecordFile(path, KEYS)
     file.write((5, KEYS.executor_state, b"{}"), published=2)
     file.close()
@@ -139,7 +139,7 @@ except OSError as error:
 """
 
 
-def test_a_disk_that_is_full_is_an_error_of_the_system_and_leaves_no_record(path: Path) -> None:
+def test_a_full_disk_is_an_oserror_and_leaves_no_record(path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", _FULL_DISK, str(path)],
         capture_output=True,
@@ -162,7 +162,7 @@ def test_a_key_that_is_damaged_in_the_summary_is_not_believed(path: Path) -> Non
 
 @examples(1, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_of_a_file_that_is_damaged_nothing_is_read_that_was_not_written(path: Path, data: st.DataObject) -> None:
+def test_a_damaged_record_yields_only_what_was_written(path: Path, data: st.DataObject) -> None:
     content = [(at, KEYS.joint_states, b"%d" % at * 50) for at in range(50)]
     whole = write(path, content).read_bytes()
     at = data.draw(st.integers(0, len(whole) - 1))

@@ -76,7 +76,7 @@ def test_a_session_that_is_closed_answers_unavailable(endpoint: str) -> None:
         bus.call(KEYS.stop, m.Nothing(), timeout=PATIENCE)
 
 
-def test_closing_lets_the_request_in_hand_finish_and_refuses_the_rest(endpoint: str, other: Bus) -> None:
+def test_closing_finishes_the_present_request_and_refuses_others(endpoint: str, other: Bus) -> None:
     entered, release = threading.Event(), threading.Event()
 
     def handler(_: m.Nothing) -> m.ExecutorState:

@@ -29,7 +29,7 @@ def unwoken() -> Iterator[None]:
 
 @pytest.mark.lengthy
 @pytest.mark.timeout(600)
-def test_a_signal_ends_a_wait_however_close_to_its_beginning_or_its_end_it_comes() -> None:
+def test_a_signal_ends_a_wait_at_any_moment() -> None:
     aimed = subprocess.run([sys.executable, PROGRAM, COUNT], capture_output=True, text=True)
     assert (aimed.returncode, aimed.stderr) == (0, "")
 

@@ -90,7 +90,7 @@ def test_what_cannot_be_read_is_put_aside_each_time_and_said(
         assert file.broken is None
 
 
-def test_a_folder_that_one_process_keeps_its_state_in_is_refused_to_another_until_it_is_killed(tmp_path: Path) -> None:
+def test_a_state_folder_belongs_to_one_live_process(tmp_path: Path) -> None:
     hold = (
         "import sys, pathlib, time; from zarm_runtime.state_file import owned\n"
         "with owned(pathlib.Path(sys.argv[1]), 'executor'): print('held', flush=True); time.sleep(600)"

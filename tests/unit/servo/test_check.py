@@ -30,7 +30,7 @@ def checker() -> Checker:
     return Checker(MODEL, Meshes())
 
 
-def test_it_says_before_which_time_the_robot_must_rest_and_what_it_would_touch(checker: Checker) -> None:
+def test_a_check_gives_the_latest_stop_and_the_obstacle(checker: Checker) -> None:
     found = checker.validity(WAY, 0.0, seen(POST), EMPTY)
     assert found.obstruction is not None
     assert found.until is not None
@@ -49,14 +49,14 @@ def test_what_the_robot_has_passed_does_not_matter(checker: Checker) -> None:
     assert checker.validity(WAY, last + 0.1, seen(POST), EMPTY).until is None
 
 
-def test_what_has_not_changed_since_it_was_verified_is_not_looked_at_again(checker: Checker) -> None:
+def test_what_was_verified_and_unchanged_is_not_checked_again(checker: Checker) -> None:
     assert checker.validity(WAY, 0.0, seen(POST), seen(POST)).until is None
     assert checker.validity(WAY, 0.0, seen(POST), None).until is not None
     moved = POST.model_copy(update={"position": (0.37, 0.38, 0.4)})
     assert checker.validity(WAY, 0.0, seen(moved), seen(POST)).until is not None
 
 
-def test_links_that_pass_one_another_closely_as_verified_do_not_hold_the_robot_when_the_scene_changes(
+def test_verified_close_links_do_not_hold_the_robot(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("zarm_servo.world.check.CONTACT", 0.05)  # the M1013 has 16 mm at home
@@ -90,7 +90,7 @@ def coming(position: tuple[float, float, float], speed: float) -> Mover:
     return Mover(POST, POST.model_copy(update={"position": position}), (0.0, 0.0, 0.0), speed, seen=0.0, stamp=0.0)
 
 
-def test_a_robot_rests_before_where_a_moving_object_can_be_while_it_stops(checker: Checker) -> None:
+def test_a_robot_rests_before_a_moving_object_s_reach(checker: Checker) -> None:
     away = coming((1.5, 1.5, POST.position[2]), 0.1)
     assert checker.validity_among(WAY, 0.0, EMPTY, [away], now=0.0, stopping=0.5).until is None
     here = coming(POST.position, 0.1)

@@ -161,7 +161,7 @@ def test_noise_of_a_policy_is_not_followed() -> None:
     robot.assert_sound()
 
 
-def test_the_chunk_before_is_followed_until_the_next_begins_and_the_change_has_no_jump() -> None:
+def test_a_chunk_is_followed_until_the_next_without_a_jump() -> None:
     robot, first = Follower(), wave(0.3, 0.3)
     robot.stream(first, 3.0)
     begins = robot.time + 0.3
@@ -189,7 +189,7 @@ def test_a_robot_that_is_found_elsewhere_goes_on_from_there() -> None:
 
 @given(seed=st.integers(0, 2**32))
 @examples(1)
-def test_whatever_is_asked_for_the_limits_and_the_margin_are_kept(seed: int) -> None:
+def test_limits_and_margin_hold_for_any_chunk(seed: int) -> None:
     rng = np.random.default_rng(seed)
     x = float(MODEL.fk_tip(HOME)[0, 3]) + rng.uniform(0.1, 0.3) * (1 if rng.random() < 0.5 else -1)
     robot = Follower(Cuboid(kind="cuboid", name="post", position=(x, 0.1, 0.4), size=(0.06, 0.06, 0.8)))
@@ -238,7 +238,7 @@ def test_odd_numbers_are_refused_or_followed_inside_the_limits(data: st.DataObje
     robot.assert_sound()
 
 
-def test_at_the_end_of_a_chunk_and_when_it_expires_the_robot_brakes() -> None:
+def test_at_the_end_of_a_chunk_the_robot_brakes() -> None:
     robot = Follower()
     robot.take(chunk(lambda time: HOME + 0.3 * time, 0.0, 10, expiry=0.2))
     robot.run(0.2)
@@ -249,7 +249,7 @@ def test_at_the_end_of_a_chunk_and_when_it_expires_the_robot_brakes() -> None:
     robot.assert_sound()
 
 
-def test_a_wall_in_the_way_stops_the_robot_which_names_it_and_goes_on_when_the_chunk_turns_back() -> None:
+def test_a_wall_stops_a_chunk_and_is_named() -> None:
     y = float(MODEL.fk_tip(HOME)[1, 3])
     wall = Cuboid(kind="cuboid", name="wall", position=(0.0, y + 0.19, 0.5), size=(3.0, 0.02, 2.0))
     robot = Follower(wall)
@@ -291,7 +291,7 @@ def test_a_joint_that_is_asked_to_be_too_fast_moves_at_its_limit(sign: float) ->
     robot.assert_sound()
 
 
-def test_lost_and_late_chunks_are_told_and_their_rest_is_followed() -> None:
+def test_lost_and_late_chunks_are_reported_and_used() -> None:
     robot, motion = Follower(), wave(0.4, 0.3)
     robot.stream(motion, 3.0)
     number = robot.tracking.sequence
@@ -328,9 +328,7 @@ def changed(**fields: Any) -> ServoChunk:
         (changed(opening=(0.0,) * 5, gripper="hand"), "gripper", "no gripper"),
     ],
 )
-def test_a_chunk_that_cannot_be_followed_is_refused_by_field_and_nothing_moves(
-    told: ServoChunk, field: str, says: str
-) -> None:
+def test_an_invalid_chunk_is_refused_by_field(told: ServoChunk, field: str, says: str) -> None:
     robot = Follower()
     with pytest.raises(InvalidRequest, match=says) as refused:
         robot.take(told)
@@ -352,13 +350,13 @@ def test_a_jump_is_measured_from_where_the_robot_is_or_would_be() -> None:
     assert robot.take(chunk(lambda _: HOME + JUMP - 0.01, 0.0, 5)).jump == pytest.approx(JUMP - 0.01)
 
 
-def test_a_target_of_joints_is_later_where_its_velocity_and_acceleration_lead() -> None:
+def test_a_joint_target_is_extrapolated() -> None:
     target = JointTarget(HOME, np.full(6, 0.2), np.full(6, 0.1))
     assert target.after(0.5).position == pytest.approx(HOME + 0.1 + 0.0125)
     assert target.after(0.5).velocity == pytest.approx(np.full(6, 0.25))
 
 
-def test_gripper_gets_the_last_opening_though_the_steps_end_before_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_gripper_gets_the_last_opening_of_a_short_chunk(monkeypatch: pytest.MonkeyPatch) -> None:
     follower, asked = Follower(), list[float]()
     monkeypatch.setattr(chunk_tracking.time, "monotonic", lambda: follower.time - 0.05)  # steps are ahead of now
     follower.tracking._grip = SimpleNamespace(follow=lambda chunk, time: asked.append(chunk.opening(time)))  # type: ignore[assignment]

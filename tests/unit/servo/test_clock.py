@@ -14,7 +14,7 @@ def goal(time: float, status: GoalStatus = "running") -> GoalState:
     )
 
 
-def test_it_runs_with_the_stream_slower_under_a_lower_speed_and_not_while_the_goal_is_held() -> None:
+def test_it_follows_the_stream_s_speed_and_holds() -> None:
     clock = StreamClock(0.0)
     assert clock.time(5.0) == 0.0
     clock.receive(goal(0.0), 5.0)
@@ -25,7 +25,7 @@ def test_it_runs_with_the_stream_slower_under_a_lower_speed_and_not_while_the_go
     assert clock.time(9.0) == pytest.approx(0.6)
 
 
-def test_it_is_put_right_by_what_is_told_and_knows_how_far_the_robot_is_behind() -> None:
+def test_reports_correct_it_and_give_the_lag() -> None:
     clock = StreamClock(0.2)
     clock.receive(goal(0.0), 5.0)
     clock.receive(goal(1.0), 5.5)

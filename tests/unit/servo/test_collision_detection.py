@@ -140,7 +140,7 @@ def test_joints_are_read_by_name() -> None:
     assert not felt.collisions()
 
 
-def test_after_a_gap_the_robot_is_not_judged_by_what_it_did_before() -> None:
+def test_after_a_gap_old_samples_are_not_used() -> None:
     felt = Felt(limited(UR5E))
     felt.move(0.3)
     felt.move(0.3, begin=0.9)

@@ -83,7 +83,7 @@ def wall(distance: float) -> Cuboid:
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize("shift", sampled((0.05, 0.08, -0.05, 0.3), ((0.0, 0.0, 0.0, 0.5),)))
-def test_a_reachable_pose_is_reached_to_a_millimetre_and_a_hundredth_of_a_radian(shift: tuple[float, ...]) -> None:
+def test_a_reachable_pose_is_reached_to_1_mm_and_0_01_rad(shift: tuple[float, ...]) -> None:
     session, pose = Session(), moved(*shift)
     step = session.follow(PoseTarget(pose), 4.0)
     tip = MODEL.fk_tip(step.state[0])
@@ -119,7 +119,7 @@ def test_joints_are_reached_in_line_and_joint_speeds_are_kept() -> None:
     session.assert_sound()
 
 
-def test_with_a_margin_that_its_links_never_keep_from_each_other_a_robot_still_moves_at_full_speed() -> None:
+def test_a_margin_that_links_never_keep_does_not_slow_it() -> None:
     session = Session(wall(0.4), margin=0.06)
     speeds = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
     step = session.follow(JointSpeedTarget(speeds), 0.6)
@@ -129,7 +129,7 @@ def test_with_a_margin_that_its_links_never_keep_from_each_other_a_robot_still_m
 
 
 @pytest.mark.parametrize("beyond", [1e-13, 0.02])
-def test_joint_beyond_its_limit_comes_back_and_does_not_keep_the_others(beyond: float) -> None:
+def test_a_joint_beyond_its_limit_comes_back_alone(beyond: float) -> None:
     start = START.copy()
     start[3] = LIMITS.upper[3] + beyond
     outwards, inwards = Session(start=start), Session(start=start)
@@ -202,7 +202,7 @@ def test_a_pose_that_just_keeps_the_margin_is_reached() -> None:
 
 
 @pytest.mark.lengthy
-def test_a_robot_inside_an_obstacle_leaves_it_and_on_the_way_no_distance_falls() -> None:
+def test_a_robot_in_an_obstacle_leaves_it_monotonically() -> None:
     session = Session(wall(-0.03))
     scene = ExactScene(MODEL, session.world)
     step = session.follow(TwistTarget(np.array([0.1, 0.1, 0.0, 0.0, 0.0, 0.0])), 0.5)
@@ -244,7 +244,7 @@ def a_target(rng: np.random.Generator) -> Target | None:
 @pytest.mark.lengthy
 @examples(0.4)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_whatever_jumps_and_wherever_it_leads_limits_and_margin_are_kept(seed: int) -> None:
+def test_limits_and_margin_hold_for_jumping_targets(seed: int) -> None:
     rng = np.random.default_rng(seed)
     objects = []
     for i in range(rng.integers(0, 10)):

@@ -13,7 +13,7 @@ from zarm_servo.tracking.targets import JointTarget
 MARGIN = 0.03
 
 
-def test_a_way_is_asked_for_that_steps_can_follow_with_room_first_and_then_without() -> None:
+def test_a_plan_is_requested_with_room_first_and_then_without() -> None:
     asked: list[PlanRequest] = []
 
     def ask(request: PlanRequest, _timeout: float) -> Plan:

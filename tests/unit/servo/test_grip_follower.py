@@ -18,7 +18,7 @@ def opening(width: float) -> Any:
     return SimpleNamespace(gripper="hand", opening=lambda _: width)
 
 
-def test_the_last_opening_is_sent_when_the_one_before_has_been_answered() -> None:
+def test_the_last_opening_is_sent_after_the_answer() -> None:
     answered, sent = threading.Event(), list[float | None]()
 
     def move(request: GripperRequest) -> None:

@@ -14,7 +14,7 @@ def lead_after(*took: float) -> Lead:
     return lead
 
 
-def test_one_slow_plan_among_quick_ones_does_not_delay_the_next_takeovers() -> None:
+def test_one_slow_plan_does_not_delay_the_next_takeovers() -> None:
     assert lead_after(0.01, 0.02, 0.3, 0.02).seconds == SHORTEST
 
 
@@ -22,7 +22,7 @@ def test_where_plans_are_slow_the_lead_is_longer_than_they_take() -> None:
     assert 0.1 < lead_after(0.1, 0.1, 0.1, 0.1).seconds < 0.2
 
 
-def test_each_trajectory_that_comes_too_late_gives_the_next_one_longer_until_one_is_in_time() -> None:
+def test_late_trajectories_lengthen_the_lead_until_in_time() -> None:
     lead = Lead()
     given = [lead.seconds]
     for _ in range(3):

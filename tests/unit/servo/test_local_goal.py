@@ -74,7 +74,7 @@ def test_a_robot_that_moves_on_is_led_to_the_target_itself() -> None:
 
 
 @pytest.mark.parametrize(("seconds", "asks"), [(8.0, True), (5.0, False)])
-def test_a_robot_that_would_take_long_at_its_rate_is_stuck_though_it_moves(seconds: float, asks: bool) -> None:
+def test_a_robot_moving_too_slowly_is_stuck(seconds: float, asks: bool) -> None:
     robot = Stuck()
     way = np.linspace(PATH[0], PATH[-1], int(seconds * SECOND))
     for position in way[: 3 * SECOND + 1]:
@@ -82,7 +82,7 @@ def test_a_robot_that_would_take_long_at_its_rate_is_stuck_though_it_moves(secon
     assert bool(robot.asked) == asks
 
 
-def test_a_robot_that_keeps_behind_a_target_that_moves_is_not_stuck() -> None:
+def test_a_robot_behind_a_moving_target_is_not_stuck() -> None:
     robot = Stuck()
     for position, ahead in itertools.pairwise(np.linspace(PATH[0], PATH[-1], 5 * SECOND)):
         robot.local_goal.target(PoseTarget(MODEL.fk_tip(ahead + (PATH[-1] - PATH[0]))), position, "1-a")
@@ -101,7 +101,7 @@ def test_a_robot_that_is_stuck_is_led_along_a_plan_to_its_end() -> None:
     assert robot.asked == 1
 
 
-def test_a_target_that_moves_is_followed_directly_near_the_end_of_the_plan() -> None:
+def test_near_the_end_a_moving_target_is_followed_directly() -> None:
     robot = Stuck()
     robot.stay(TARGET, steps=SECOND // 2)
     for position in np.repeat(PATH[:-2], 10, axis=0):
@@ -112,7 +112,7 @@ def test_a_target_that_moves_is_followed_directly_near_the_end_of_the_plan() -> 
     assert robot.local_goal.target(moved, PATH[-2], "1-a") is moved
 
 
-def test_what_cannot_be_reached_is_told_and_asked_for_again_only_in_another_scene() -> None:
+def test_an_unreachable_target_is_retried_in_another_scene() -> None:
     robot = Stuck(known=False)
     assert robot.stay(TARGET) is TARGET
     robot.stay(TARGET)
@@ -124,7 +124,7 @@ def test_what_cannot_be_reached_is_told_and_asked_for_again_only_in_another_scen
     assert robot.local_goal.problem is None
 
 
-def test_a_planner_whose_time_runs_out_leads_the_robot_near_and_has_twice_as_long_the_next_time() -> None:
+def test_a_plan_out_of_time_leads_near_and_gets_twice_as_long() -> None:
     robot = Stuck(takes=1.5)
     point = robot.stay(TARGET, steps=10 * SECOND)
     assert robot.limits[0] < robot.takes
@@ -133,7 +133,7 @@ def test_a_planner_whose_time_runs_out_leads_the_robot_near_and_has_twice_as_lon
     assert isinstance(point, JointTarget)
 
 
-def test_a_planner_that_never_has_time_enough_is_asked_again_and_again_but_not_for_longer_and_longer() -> None:
+def test_planning_time_for_a_target_is_bounded() -> None:
     robot = Stuck(takes=np.inf)
     robot.stay(TARGET, steps=60 * SECOND)
     assert len(robot.limits) > 6
@@ -146,7 +146,7 @@ def test_who_jogs_is_never_led_elsewhere() -> None:
     assert robot.asked == 0
 
 
-def test_after_a_jump_the_plan_to_where_the_target_was_is_not_waited_for() -> None:
+def test_after_a_jump_the_old_plan_is_not_waited_for() -> None:
     asked: list[Future[GlobalPlan]] = []
 
     class Slow(Executor):

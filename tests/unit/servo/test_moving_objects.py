@@ -51,7 +51,7 @@ def reported() -> Told:
     return Told()
 
 
-def test_an_object_is_where_it_was_told_to_be_and_moves_on_from_when_it_was_seen_there(reported: Told) -> None:
+def test_an_object_moves_on_from_when_it_was_seen(reported: Told) -> None:
     assert reported.update_object(linear=(0.1, 0.0, 0.0)) is None
     mover = reported.all()["box"]
     assert mover.placed == BOX.model_copy(update={"position": (0.5, 0.0, 0.0)})
@@ -61,7 +61,7 @@ def test_an_object_is_where_it_was_told_to_be_and_moves_on_from_when_it_was_seen
     assert reported.changes == 1
 
 
-def test_an_object_that_turns_moves_as_fast_as_its_farthest_point(reported: Told) -> None:
+def test_a_turning_object_is_as_fast_as_its_farthest_point(reported: Told) -> None:
     reported.update_object(angular=(0.0, 0.0, 2.0), speed=0.0)
     assert reported.all()["box"].speed == pytest.approx(2.0 * 0.1 * np.sqrt(3))
     reported.update_object("ball", angular=(0.0, 0.0, 2.0), speed=0.0)
@@ -69,9 +69,7 @@ def test_an_object_that_turns_moves_as_fast_as_its_farthest_point(reported: Told
 
 
 @pytest.mark.parametrize(("fast", "apart"), [(0.4, 0.021), (60.0, 0.31)])
-def test_wherever_it_can_be_while_the_robot_stops_one_of_a_few_places_is_near(
-    reported: Told, fast: float, apart: float
-) -> None:
+def test_one_of_a_few_places_is_near_wherever_it_can_be(reported: Told, fast: float, apart: float) -> None:
     reported.update_object(linear=(fast, 0.0, 0.0), speed=0.1)
     mover, rng = reported.all()["box"], np.random.default_rng(0)
     places = mover.swept(NOW, 0.5, 0.02)
@@ -87,7 +85,7 @@ def test_wherever_it_can_be_while_the_robot_stops_one_of_a_few_places_is_near(
     ("field", "value"),
     [("position", (0.0, 1e300, 0.0)), ("linear", (-1e6, 0.0, 0.0)), ("angular", (0.0, 0.0, 1e4)), ("speed", 1e300)],
 )
-def test_what_is_farther_or_faster_than_anything_is_refused_by_field(reported: Told, field: str, value: Any) -> None:
+def test_too_far_or_too_fast_is_refused_by_field(reported: Told, field: str, value: Any) -> None:
     assert reported.update_object() is None
     assert reported.update_object(late=0.005, **{field: value}) == field
     assert reported.all()["box"].placed.position == (0.5, 0.0, 0.0)
@@ -110,9 +108,7 @@ def test_the_newest_counts_whatever_comes_later(reported: Told) -> None:
         ("box", {"position": (float("nan"), 0.0, 0.0)}, "position.0"),
     ],
 )
-def test_what_is_wrong_is_refused_by_its_field_and_changes_nothing(
-    reported: Told, name: str, fields: dict[str, Any], field: str
-) -> None:
+def test_an_invalid_update_is_refused_by_field(reported: Told, name: str, fields: dict[str, Any], field: str) -> None:
     reported.update_object()
     before = reported.all()
     assert reported.update_object(name, **fields) == field
@@ -122,7 +118,7 @@ def test_what_is_wrong_is_refused_by_its_field_and_changes_nothing(
     assert reported.update_object(late=0.0, now=NOW + 1.1) is None
 
 
-def test_an_object_without_news_grows_for_a_while_and_is_lost_then(reported: Told) -> None:
+def test_an_object_without_updates_grows_and_is_lost(reported: Told) -> None:
     reported.update_object(late=0.0)
     mover = reported.all()["box"]
     assert mover.age(NOW + 0.5) == pytest.approx(0.5 + AGREE)
@@ -132,7 +128,7 @@ def test_an_object_without_news_grows_for_a_while_and_is_lost_then(reported: Tol
     assert reported.all()["box"] is mover
 
 
-def test_an_edit_of_the_object_places_it_anew_and_other_edits_do_not(reported: Told) -> None:
+def test_an_edit_of_an_object_places_it_anew(reported: Told) -> None:
     reported.update_object()
     reported.scene(BOX.model_copy(), CELLS)
     assert "box" in reported.all()

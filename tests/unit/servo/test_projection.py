@@ -10,7 +10,7 @@ from zarm_servo.kernels.projection import projected
 JOINTS = 6
 
 
-def test_the_nearest_speeds_inside_the_bounds_are_found_as_a_solver_finds_them() -> None:
+def test_the_nearest_bounded_speeds_are_those_of_a_solver() -> None:
     rng = np.random.default_rng(7)
     for _ in range(20):
         root = rng.normal(size=(JOINTS, JOINTS)) / 3

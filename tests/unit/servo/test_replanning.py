@@ -126,7 +126,7 @@ def replanner(peers: Peers, checker: Checker) -> Iterator[Replanner]:
         yield running
 
 
-def test_a_goal_with_a_path_constraint_is_planned_at_rest_and_keeps_it(peers: Peers, replanner: Replanner) -> None:
+def test_a_constrained_goal_is_replanned_at_rest(peers: Peers, replanner: Replanner) -> None:
     upright = PathConstraint(axes=(True, True, False, False, False, False))
     message = FOLLOWED.model_copy(update={"path_constraint": upright})
     held = FollowedGoal(message, PATH, since=0.0, commanded=0.0, reported=0.0)
@@ -140,9 +140,7 @@ def test_a_goal_with_a_path_constraint_is_planned_at_rest_and_keeps_it(peers: Pe
     assert request.path_constraint == upright
 
 
-def test_a_blocked_goal_is_planned_from_a_state_ahead_to_its_end_no_faster_than_it_was(
-    peers: Peers, replanner: Replanner
-) -> None:
+def test_a_blocked_goal_is_replanned_from_a_state_ahead(peers: Peers, replanner: Replanner) -> None:
     replanner.on_validity(FOLLOWED_GOAL, PATH.duration - 0.1)
     (replaced,) = eventually(lambda: list(peers.replaced), "the trajectory is replaced")
     (request,) = peers.asked
@@ -156,9 +154,7 @@ def test_a_blocked_goal_is_planned_from_a_state_ahead_to_its_end_no_faster_than_
     assert request.velocity_scale < 0.6
 
 
-def test_a_pose_that_other_joints_reach_is_gone_to_where_something_stands_at_the_joints(
-    peers: Peers, replanner: Replanner
-) -> None:
+def test_a_pose_goal_is_replanned_to_other_joints(peers: Peers, replanner: Replanner) -> None:
     def planner() -> Plan:
         if peers.asked[-1].goal.kind == "joints":
             raise PlanningFailed("something stands there", code="goal_in_collision")
@@ -173,9 +169,7 @@ def test_a_pose_that_other_joints_reach_is_gone_to_where_something_stands_at_the
     assert goal.poses == (tip,)
 
 
-def test_what_comes_too_late_is_planned_again_from_a_later_state_and_then_the_robot_stops_first(
-    peers: Peers, replanner: Replanner
-) -> None:
+def test_a_late_replan_starts_later_and_then_from_rest(peers: Peers, replanner: Replanner) -> None:
     refusals: list[int] = []
 
     def refuse() -> None:
@@ -214,7 +208,7 @@ def test_without_a_plan_nothing_is_replaced(peers: Peers, replanner: Replanner, 
     assert not peers.replaced
 
 
-def test_a_plan_that_is_not_free_in_a_newer_scene_is_not_followed(peers: Peers, replanner: Replanner) -> None:
+def test_a_replan_in_collision_in_a_newer_scene_is_dropped(peers: Peers, replanner: Replanner) -> None:
     def overtaken() -> Plan:
         middle = RobotModel.of(ROBOT).fk_tip(PATH.positions(np.array([PATH.duration / 2]))[0])[:3, 3]
         ball = Sphere(kind="sphere", name="ball", position=tuple(middle.tolist()), radius=0.1)
@@ -240,7 +234,7 @@ def test_a_plan_that_is_not_free_of_what_moves_is_not_followed(peers: Peers, rep
 
 
 @pytest.mark.parametrize(("lag", "followed"), [(0.0, True), (5.0, False)])
-def test_a_plan_is_not_followed_if_a_robot_that_lags_would_stop_too_late(
+def test_a_replan_is_dropped_if_a_lagging_robot_cannot_stop(
     peers: Peers, replanner: Replanner, lag: float, *, followed: bool
 ) -> None:
     ball = Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 9.0), radius=0.1)
@@ -254,9 +248,7 @@ def test_a_plan_is_not_followed_if_a_robot_that_lags_would_stop_too_late(
     assert bool(peers.replaced) == followed
 
 
-def test_a_goal_that_is_blocked_before_a_plan_could_take_over_is_not_planned_in_motion(
-    peers: Peers, replanner: Replanner
-) -> None:
+def test_a_goal_blocked_too_soon_is_not_replanned_in_motion(peers: Peers, replanner: Replanner) -> None:
     peers.measured.rests = True
     replanner.on_goal(goal(0.2, held=True))
     replanner.on_validity(FOLLOWED_GOAL, 0.2 * PATH.duration)

@@ -28,7 +28,7 @@ def test_it_tells_every_change() -> None:
     assert len(calls) == 2
 
 
-def test_an_object_counts_before_its_scene_has_come_and_not_for_long_where_none_comes(monitor: SceneMonitor) -> None:
+def test_an_object_counts_for_a_while_before_its_scene(monitor: SceneMonitor) -> None:
     monitor.on_scene("", scene(1, ball("a")))
     monitor.on_object(ball("b"), 10.0)
     snapshot = monitor.snapshot(10.1)
@@ -37,7 +37,7 @@ def test_an_object_counts_before_its_scene_has_come_and_not_for_long_where_none_
     assert set(monitor.snapshot(10.1 + EARLY).objects) == {"a"}
 
 
-def test_a_scene_is_all_there_is_and_the_last_ones_are_remembered(monitor: SceneMonitor) -> None:
+def test_a_scene_is_complete_and_the_last_ones_are_kept(monitor: SceneMonitor) -> None:
     for edits in range(REMEMBERED + 2):
         monitor.on_scene("", scene(edits, ball(f"ball{edits}")))
     assert set(monitor.snapshot(0.0).objects) == {f"ball{REMEMBERED + 1}"}
@@ -47,7 +47,7 @@ def test_a_scene_is_all_there_is_and_the_last_ones_are_remembered(monitor: Scene
     assert set(remembered.objects) == {f"ball{REMEMBERED}"}
 
 
-def test_what_was_known_still_counts_where_the_planner_begins_another_scene_until_that_is_edited(
+def test_a_new_scene_keeps_what_was_known_until_edited(
     monitor: SceneMonitor,
 ) -> None:
     monitor.on_scene("", scene(7, ball("a"), ball("b")))

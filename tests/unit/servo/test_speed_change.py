@@ -17,7 +17,7 @@ STEP = 0.001
 @pytest.mark.lengthy
 @examples(1.0)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_velocities_asked_for_one_after_the_other_are_reached_inside_the_limits(seed: int) -> None:
+def test_successive_velocities_are_reached_within_limits(seed: int) -> None:
     rng = np.random.default_rng(seed)
     velocity, acceleration = rng.uniform(0.5, 3.0, JOINTS), rng.uniform(0.5, 20.0, JOINTS)
     jerk = acceleration * rng.uniform(1.0, 500.0)

@@ -12,7 +12,7 @@ from zarm_contract.robot import load_robot
 from zarm_servo.guarding.stopping import reaction
 
 
-def test_commands_to_other_executors_take_as_long_as_the_descriptor_says(tmp_path: Path) -> None:
+def test_other_executors_take_the_descriptor_s_delay(tmp_path: Path) -> None:
     apart, alone = tmp_path / "apart", tmp_path / "alone"
     apart.mkdir()
     alone.mkdir()

@@ -23,7 +23,7 @@ LIMITS = Limits.of(ROBOT)
 HOME = np.array(ROBOT.descriptor.home)
 
 
-def test_chunks_continue_one_another_exactly_stay_inside_the_limits_and_end_at_rest() -> None:
+def test_chunks_join_exactly_within_limits_and_end_at_rest() -> None:
     controller = Controller(MODEL, MotionCheck(MODEL), soft(LIMITS), HOME, margin=0.01)
     streamed, followed = StreamedTrajectory(0.0, controller.state, controller.braking), TimedTrajectory.standing(HOME)
     states = [controller.state]
@@ -49,7 +49,7 @@ def test_chunks_continue_one_another_exactly_stay_inside_the_limits_and_end_at_r
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize("seed", [5, 15, 66])
-def test_a_chunk_that_comes_late_is_followed_all_the_same_inside_the_limits(seed: int) -> None:
+def test_a_late_chunk_is_followed_within_limits(seed: int) -> None:
     controller = Controller(MODEL, MotionCheck(MODEL), soft(LIMITS), HOME, margin=0.01)
     streamed, followed = StreamedTrajectory(0.0, controller.state, controller.braking), TimedTrajectory.standing(HOME)
     rng = np.random.default_rng(seed)

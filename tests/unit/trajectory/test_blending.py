@@ -36,7 +36,7 @@ def swing(*distances: float, start: Array = HOME, slower: float = 1.5) -> TimedT
     begun=st.floats(-0.5, 0.5),
     target=st.sampled_from([0.1, 0.5, 1.0]),
 )
-def test_wherever_two_motions_are_joined_the_robot_neither_jumps_nor_breaks_a_limit(
+def test_joined_motions_keep_limits_without_a_jump(
     first: list[float], second: list[float], when: float, begun: float, target: float
 ) -> None:
     old = swing(*first)
@@ -68,7 +68,7 @@ def test_wherever_two_motions_are_joined_the_robot_neither_jumps_nor_breaks_a_li
     assert np.all(np.abs(np.diff(positions, 2, axis=0)) / TICK**2 <= LIMIT * LIMIT_TOLERANCE * 1.005)
 
 
-def test_a_chunk_that_agrees_with_the_motion_changes_nothing_but_its_end() -> None:
+def test_a_matching_chunk_changes_only_the_end() -> None:
     path = chunk(0.0)
     for start in (0.05, 0.1, 0.15):
         path = blended(path, start, chunk(start), start, LIMITS)
@@ -77,7 +77,7 @@ def test_a_chunk_that_agrees_with_the_motion_changes_nothing_but_its_end() -> No
     assert path.duration == pytest.approx(0.15 + 0.2 + 0.8)
 
 
-def test_a_chunk_beside_the_motion_is_reached_in_the_shortest_time_that_the_limits_allow() -> None:
+def test_a_chunk_is_joined_in_the_shortest_feasible_time() -> None:
     near, far = (blended(chunk(0.0), 0.1, chunk(0.1, off=off), 0.1, LIMITS) for off in (0.001, 0.02))
     assert near.at(0.1 + 0.1)[0][0] == pytest.approx(chunk(0.1, off=0.001).at(0.1)[0][0], abs=1e-9)
     assert far.at(0.1 + 0.1)[0][0] < chunk(0.1, off=0.02).at(0.1)[0][0] - 0.005
@@ -86,7 +86,7 @@ def test_a_chunk_beside_the_motion_is_reached_in_the_shortest_time_that_the_limi
 
 
 @pytest.mark.parametrize("jerk", [500.0, 50.0, 10.0])
-def test_a_chunk_beside_the_motion_is_reached_inside_the_jerk_limit(jerk: float) -> None:
+def test_a_chunk_is_joined_within_the_jerk_limit(jerk: float) -> None:
     cspace = ROBOT.descriptor.cspace.model_copy(update={"jerk": (jerk,) * 6})
     descriptor = ROBOT.descriptor.model_copy(update={"cspace": cspace})
     joined = blended(chunk(0.0), 0.1, chunk(0.1, off=0.001), 0.1, Limits.of(replace(ROBOT, descriptor=descriptor)))
@@ -118,7 +118,7 @@ def test_a_chunk_out_of_reach_is_refused() -> None:
     assert refusal.value.code == "limit_violated"
 
 
-def test_a_chunk_out_of_reach_does_not_complete_the_motion_that_it_replaces() -> None:
+def test_an_unreachable_chunk_does_not_complete_the_old_motion() -> None:
     moving = swing(1.5)
     now = 0.3 * moving.duration
     with pytest.raises(ExecutionRefused):

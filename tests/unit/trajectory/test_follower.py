@@ -64,7 +64,7 @@ def distance_from(path: TimedTrajectory, positions: Array) -> float:
     return max(float(np.min(np.max(np.abs(grid - position), axis=1))) for position in positions)
 
 
-def test_undisturbed_the_robot_is_on_the_path_at_the_planned_times() -> None:
+def test_undisturbed_the_robot_is_on_time_on_the_path() -> None:
     path = curved_path(1)
     follower = Follower(path, RATE_LIMITS)
     for tick in range(1, 50):
@@ -76,7 +76,7 @@ def test_undisturbed_the_robot_is_on_the_path_at_the_planned_times() -> None:
 @pytest.mark.lengthy
 @examples(0.4)
 @given(seed=st.integers(0, 2**32 - 1), when=st.floats(0.0, 1.0))
-def test_braking_and_going_on_stay_inside_the_acceleration_limits_and_on_the_path(seed: int, when: float) -> None:
+def test_braking_and_resuming_keep_limits_and_path(seed: int, when: float) -> None:
     path = curved_path(seed)
     follower = Follower(path, RATE_LIMITS)
     while follower.time < when * path.duration:
@@ -124,9 +124,7 @@ def test_going_on_before_rest_is_reached_is_smooth_too() -> None:
         st.tuples(st.sampled_from([0.0, 0.05, 0.3, 0.7, 1.0]), st.integers(1, 40)), min_size=1, max_size=20
     ),
 )
-def test_whatever_speed_is_asked_for_on_the_way_the_acceleration_limits_hold_and_the_robot_stays_on_the_path(
-    seed: int, targets: list[tuple[float, int]]
-) -> None:
+def test_any_speed_scaling_keeps_limits_and_path(seed: int, targets: list[tuple[float, int]]) -> None:
     path = curved_path(seed)
     follower = Follower(path, RATE_LIMITS)
     positions = [follower.position, follower.position]
@@ -154,7 +152,7 @@ def test_whatever_speed_is_asked_for_on_the_way_the_acceleration_limits_hold_and
     ),
     ticks=st.lists(st.sampled_from([0.002, 0.004, 0.0081, 0.01, 0.013, 0.05]), min_size=1, max_size=7),
 )
-def test_whatever_is_asked_for_and_however_ticks_come_jerk_and_acceleration_hold_and_a_stop_comes_to_rest_in_time(
+def test_any_ticks_and_commands_keep_jerk_and_stop_in_time(
     seed: int, planned: bool, ramp: float, commands: list[tuple[float, int]], ticks: list[float]
 ) -> None:
     """`ramp` is the time from no acceleration to its limit, of the M1013, of a UR and of a slower arm.
@@ -196,9 +194,7 @@ def planned_path(seed: int, ramp: float | None = None) -> TimedTrajectory:
 @pytest.mark.lengthy
 @examples(0.06)
 @given(seed=st.integers(0, 2**32 - 1), speed=st.sampled_from([0.5, 0.05, 1.0]))
-def test_at_every_tick_of_a_planned_motion_a_pause_comes_to_rest_and_going_on_comes_to_the_end(
-    seed: int, speed: float
-) -> None:
+def test_a_pause_at_every_tick_rests_and_resumes_to_the_end(seed: int, speed: float) -> None:
     follower = Follower(planned_path(seed), RATE_LIMITS)
     while not follower.finished:
         other = copy.copy(follower)
@@ -216,9 +212,7 @@ def test_at_every_tick_of_a_planned_motion_a_pause_comes_to_rest_and_going_on_co
 
 @examples(0.1)
 @given(seed=st.integers(0, 2**32 - 1), tick=st.integers(0, 5))
-def test_going_on_just_after_the_start_holds_the_acceleration_limits_and_takes_no_longer_than_from_the_start(
-    seed: int, tick: int
-) -> None:
+def test_resuming_just_after_the_start_keeps_limits_and_time(seed: int, tick: int) -> None:
     follower = Follower(planned_path(seed), RATE_LIMITS)
     for _ in range(tick):
         follower.advance(0.004)
@@ -232,7 +226,7 @@ def test_going_on_just_after_the_start_holds_the_acceleration_limits_and_takes_n
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize("speed", [0.05, 0.5])
-def test_at_a_lower_path_speed_the_same_path_takes_so_much_longer(speed: float) -> None:
+def test_a_lower_path_speed_takes_proportionally_longer(speed: float) -> None:
     path = curved_path(6)
     follower = Follower(path, RATE_LIMITS, speed=speed, target=speed)
     ticks = len(followed(follower)) - 3
@@ -240,7 +234,7 @@ def test_at_a_lower_path_speed_the_same_path_takes_so_much_longer(speed: float) 
 
 
 @pytest.mark.parametrize("target", [0.05, 0.4])
-def test_what_lies_ahead_is_what_will_be_commanded_at_every_speed(target: float) -> None:
+def test_the_preview_is_what_will_be_commanded(target: float) -> None:
     path = curved_path(7)
     follower = Follower(path, RATE_LIMITS, time=path.duration / 3, target=target)
     ahead = follower.ahead(TICK)
@@ -267,7 +261,7 @@ def test_a_short_pause_between_ticks_is_caught_up_with() -> None:
     np.testing.assert_allclose(late.position, on_time.position, atol=1e-12)
 
 
-def test_after_a_long_pause_between_ticks_the_robot_goes_on_from_rest_where_it_stood() -> None:
+def test_after_a_long_gap_between_ticks_it_restarts_from_rest() -> None:
     path = curved_path(5)
     follower = Follower(path, RATE_LIMITS)
     while follower.time < path.duration / 2:

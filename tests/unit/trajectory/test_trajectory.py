@@ -13,7 +13,7 @@ ACCELERATION = np.array(ROBOT.descriptor.cspace.acceleration)
 JERK = np.array(ROBOT.descriptor.cspace.jerk)
 
 
-def test_the_path_meets_position_velocity_and_acceleration_of_every_sample() -> None:
+def test_the_path_meets_every_sample() -> None:
     trajectory = rest_to_rest(moved(0.7, -0.3, 0.2))
     path = TimedTrajectory.of(trajectory, JOINTS)
     for index, time in enumerate(trajectory.time):
@@ -21,7 +21,7 @@ def test_the_path_meets_position_velocity_and_acceleration_of_every_sample() -> 
         np.testing.assert_allclose(path.at(time), expected, atol=1e-9)
 
 
-def test_between_two_samples_the_path_is_the_quintic_through_both() -> None:
+def test_between_samples_the_path_is_the_quintic() -> None:
     ends = TimedTrajectory.of(rest_to_rest(moved(0.7, -0.3, 0.2), dt=100.0), JOINTS)  # first and last sample only
     samples = rest_to_rest(moved(0.7, -0.3, 0.2))
     assert len(ends.time) == 2
@@ -30,7 +30,7 @@ def test_between_two_samples_the_path_is_the_quintic_through_both() -> None:
         np.testing.assert_allclose(ends.at(time), expected, atol=1e-9)
 
 
-def test_before_its_start_and_after_its_end_the_path_is_at_that_end() -> None:
+def test_outside_its_time_the_path_is_at_its_end() -> None:
     path = TimedTrajectory.of(rest_to_rest(moved(0.5)), JOINTS)
     np.testing.assert_allclose(path.at(-1.0)[0], HOME, atol=1e-12)
     np.testing.assert_allclose(path.at(path.duration + 1.0)[0], moved(0.5), atol=1e-12)
@@ -90,7 +90,7 @@ def test_samples_too_close_in_time_to_divide_by_are_refused() -> None:
 
 @pytest.mark.parametrize("jerk", [500.0, 10.0, 1.0])
 @pytest.mark.parametrize("acceleration", [0.0, 1.0, -1.0], ids=["gently", "forwards at once", "backwards at once"])
-def test_a_robot_beside_the_start_is_led_to_it_inside_every_limit(jerk: float, acceleration: float) -> None:
+def test_a_robot_beside_the_start_is_led_in_within_limits(jerk: float, acceleration: float) -> None:
     stands = moved(-0.04, 0.02)
     path = TimedTrajectory.of(rest_to_rest(moved(1.0)), JOINTS)
     path.acceleration[0] = acceleration * ACCELERATION

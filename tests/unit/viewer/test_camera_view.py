@@ -26,7 +26,7 @@ def depth() -> np.ndarray:
     return depth
 
 
-def test_what_is_near_is_light_and_what_is_not_known_has_a_colour_of_its_own(depth: np.ndarray) -> None:
+def test_near_is_light_and_unknown_has_its_own_colour(depth: np.ndarray) -> None:
     every = np.full((120, 160), COUNTS, np.uint8)
     image = shaded(thinned(encode_image(HEADER, depth.tobytes())), every, CAMERA)
     assert image.shape == (120, 160, 3)

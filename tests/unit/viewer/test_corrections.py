@@ -28,7 +28,7 @@ def changed(before: str, after: str) -> list[str]:
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize("name", ["doosan_m1013", "panda"])
-def test_what_is_corrected_is_read_back_and_the_exact_geometry_stays(name: str, tmp_path: Path) -> None:
+def test_a_correction_is_read_back_and_exact_geometry_stays(name: str, tmp_path: Path) -> None:
     robot = copied(name, tmp_path)  # its spheres are aliases of its exact geometry
     was = Corrections.of(robot.descriptor)
     link = next(iter(was.spheres))

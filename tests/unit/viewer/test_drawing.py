@@ -40,7 +40,7 @@ def test_a_file_that_is_no_mesh_is_said_to_be_unreadable(tmp_path: Path) -> None
         Mesh(kind="mesh", name="part", position=(0.0, 0.0, 0.0), file="part.stl"),
     ],
 )
-def test_an_object_that_is_resized_has_that_size_and_stays_what_it_was(item: SceneObject) -> None:
+def test_a_resized_object_keeps_everything_else(item: SceneObject) -> None:
     larger = _resized(item, (0.3, 0.3, 0.3))
     assert _size(larger) == (0.3, 0.3, 0.3)
     assert (larger.kind, larger.name, larger.position) == (item.kind, item.name, item.position)

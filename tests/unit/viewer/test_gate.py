@@ -40,7 +40,7 @@ def test_a_name_that_leads_here_by_a_trick_of_its_dns_is_refused() -> None:
     assert status(Gate.at("127.0.0.1:8017"), request()) == 403
 
 
-def test_elsewhere_than_on_loopback_the_address_has_a_token_that_nothing_else_replaces() -> None:
+def test_beyond_loopback_the_address_needs_its_token() -> None:
     gate = Gate.at("0.0.0.0:8017")
     assert gate.token
     assert len(gate.token) >= 32

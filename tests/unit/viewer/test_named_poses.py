@@ -12,7 +12,7 @@ from zarm_viewer.named_poses import NamedPoses
 HOME, SHELF = (0.0, 1.0), (0.5, -0.5)
 
 
-def test_a_pose_that_is_kept_is_there_the_next_time_until_it_is_removed(tmp_path: Path) -> None:
+def test_a_kept_pose_is_there_until_removed(tmp_path: Path) -> None:
     NamedPoses(tmp_path, "arm", HOME).keep("shelf", SHELF)
     poses = NamedPoses(tmp_path, "arm", HOME)
     assert poses.names() == ("home", "shelf")

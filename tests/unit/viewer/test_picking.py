@@ -33,9 +33,7 @@ def brush() -> Iterator[Brush]:
         (zarm.Voxels("cloud", resolution=0.02, cells=[(25, 5, 15), (25, 5, 20)]), 0.4),
     ],
 )
-def test_a_ray_hits_an_object_on_its_near_side_and_misses_it_beside(
-    brush: Brush, item: SceneObject, top: float
-) -> None:
+def test_a_ray_hits_the_near_side_or_misses(brush: Brush, item: SceneObject, top: float) -> None:
     drawn = draw_object(brush, f"/{item.name}", item, ())
     assert drawn is not None
     above = np.array((0.503, 0.104, 1.0))

@@ -25,7 +25,7 @@ def test_acceleration_and_jerk_are_told_from_velocities(rate: float) -> None:
     assert jerk == pytest.approx([0.0, 5.0], abs=1e-6)
 
 
-def test_a_jerk_of_milliseconds_is_in_the_plot_of_a_plan_with_its_whole_height() -> None:
+def test_a_short_jerk_keeps_its_height_in_the_plot() -> None:
     jerk, short, long = 50.0, 0.004, 1.0
     speed, far = jerk * short**2 / 2, jerk * short**3 / 6
     rate = jerk * short  # the acceleration that it leads to
@@ -37,7 +37,7 @@ def test_a_jerk_of_milliseconds_is_in_the_plot_of_a_plan_with_its_whole_height()
     assert seen.max() == pytest.approx(jerk, rel=1e-3)
 
 
-def test_the_tracking_error_of_a_robot_that_follows_exactly_is_none_however_old_its_joints_are() -> None:
+def test_exact_following_has_no_tracking_error_with_old_joints() -> None:
     position, velocity, age = (0.1, 0.2), (1.0, -2.0), 0.05
     joints = JointState(stamp=0.0, joint_names=("b", "a"), position=position, velocity=velocity)
     command = tuple(at + age * speed for at, speed in zip(position, velocity, strict=True))[::-1]

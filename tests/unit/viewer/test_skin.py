@@ -48,7 +48,7 @@ def windings(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("primitives", LINKS)
-def test_skin_is_within_10_mm_of_the_exact_surface_which_it_covers(
+def test_the_skin_covers_the_surface_within_10_mm(
     primitives: tuple[CollisionPrimitive, ...],
 ) -> None:
     body = skin(primitives)

@@ -57,7 +57,7 @@ def read(name: str, content: bytes | str) -> mesh_files.MeshFile:
     return mesh_files.read(name, content.encode() if isinstance(content, str) else content)
 
 
-def test_blocks_with_negative_indices_are_those_with_positive_ones() -> None:
+def test_negative_obj_indices_equal_positive_ones() -> None:
     both = [read("cubes.obj", obj((-0.2, negative), (0.2, negative))).triangles for negative in (True, False)]
     assert len(both[0]) == 24
     np.testing.assert_array_equal(both[0], both[1])
@@ -119,7 +119,7 @@ def test_what_is_there_is_read_and_what_is_no_surface_is_noted(
         ("a.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "no known format"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_read_completely_is_refused_with_its_place(name: str, content: bytes | str, says: str) -> None:
+def test_incomplete_files_are_refused_with_the_place(name: str, content: bytes | str, says: str) -> None:
     with pytest.raises(mesh_files.Unreadable) as refused:
         read(name, content)
     assert says in str(refused.value)
