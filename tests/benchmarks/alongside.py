@@ -14,6 +14,8 @@ import time
 from collections import Counter
 from pathlib import Path
 
+from zarm_trajectory.arrays import Array
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
@@ -32,8 +34,6 @@ from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 LEFT, RIGHT = np.arange(7), np.arange(7, 14)
 SPREAD = 1.2

@@ -21,12 +21,13 @@ from typing import TypeVar
 
 import matplotlib
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from toppra import SplineInterpolator
 from toppra.algorithm import TOPPRA
 from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
+
+from zarm_trajectory.arrays import Array
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.planner import motion_bench
@@ -48,7 +49,6 @@ from zarm_trajectory.trajectory import TimedTrajectory
 matplotlib.use("Agg")
 from matplotlib import pyplot
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 DT = 0.01

@@ -24,11 +24,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from prometheus_client.parser import text_string_to_metric_families
 from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+from zarm_trajectory.arrays import Array
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -50,7 +51,6 @@ from zarm_servo.tracking.grip_follower import GripFollower
 from zarm_servo.tracking.session import soft
 from zarm_trajectory.limits import Limits
 
-Array = NDArray[np.float64]
 Motion = Callable[[Array], Array]
 
 MODEL = RobotModel.of(load_robot("ur5e"))

@@ -18,10 +18,11 @@ from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
+from zarm_trajectory.arrays import Array
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -39,8 +40,6 @@ from zarm_servo.guarding.collision_detection import CollisionDetection
 from zarm_servo.world.scene_monitor import SceneMonitor
 from zarm_simulated_driver.player import STEP, TICK
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 ROBOT = load_robot("ur5e")
 SPARE = 1.5

@@ -18,10 +18,11 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
+from zarm_trajectory.arrays import Array
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
-from numpy.typing import NDArray
 from path_constraint import wander
 from rich.console import Console
 from rich.table import Table
@@ -49,8 +50,6 @@ from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 HELD = PathConstraint(axes=(True,) * 6, group="right", relative_to="left")
 LENGTH = 0.3

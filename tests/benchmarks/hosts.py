@@ -24,9 +24,10 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+
+from zarm_trajectory.arrays import Array
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.harness import PATIENCE, eventually
@@ -42,8 +43,6 @@ from zarm_contract.messages import (
     PlanRequest,
 )
 from zarm_runtime.bus import Bus
-
-Array = NDArray[np.float64]
 
 WIRES = {
     "as it is": Quality(),

@@ -18,9 +18,10 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+
+from zarm_trajectory.arrays import Array
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.planner import motion_bench
@@ -37,7 +38,6 @@ from matplotlib import pyplot as plt
 
 EAIK = importlib.util.find_spec("eaik") is not None
 
-Array = NDArray[np.float64]
 
 ROBOTS = ("doosan_m1013", "ur5e", "ur10e", "panda")
 NEAR = 0.1

@@ -18,10 +18,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial import cKDTree
+
+from zarm_trajectory.arrays import Array
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.planner import motion_bench
@@ -45,8 +46,6 @@ from zarm_robot_import.primitives import rows_of
 from zarm_robot_import.spheres import ball_rows
 from zarm_robot_import.triangles import points_on, thinned
 from zarm_trajectory.limits import Limits
-
-Array = NDArray[np.float64]
 
 ARMS = {
     "ur5e": ("airo_models", "arms/ur5e/ur5e.urdf", {}),

@@ -26,9 +26,10 @@ from pathlib import Path
 
 import numpy as np
 import psutil
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+
+from zarm_trajectory.arrays import Array
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.harness import PATIENCE, ServiceProcess, eventually, free_endpoint
@@ -45,8 +46,6 @@ from zarm_contract.messages import (
 from zarm_runtime.bus import Bus
 from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_runtime.session import open_client, open_router
-
-Array = NDArray[np.float64]
 
 AWAY, BACK = moved(1.0, -0.5, 0.3), HOME
 TIMED = str(PROGRAMS / "timed_executor.py")

@@ -19,9 +19,10 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+
+from zarm_trajectory.arrays import Array
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.planner import motion_bench, ompl_peer
@@ -48,7 +49,6 @@ if (
 ):
     from support.planner import roboplan_peer
 
-Array = NDArray[np.float64]
 
 TIMEOUT = 1.0
 """Seconds within which a search must be done to count as solved."""

@@ -16,7 +16,6 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -26,8 +25,8 @@ from zarm_geometry.exact import RESOLUTION, ExactScene
 from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
+from zarm_trajectory.arrays import Array
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 MARGIN = 0.005

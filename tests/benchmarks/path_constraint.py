@@ -17,9 +17,10 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+
+from zarm_trajectory.arrays import Array
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.planner import motion_bench
@@ -33,8 +34,6 @@ from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.deadline import Deadline
 from zarm_planner.kinematics.ik import solve_ik
 from zarm_trajectory.limits import Limits
-
-Array = NDArray[np.float64]
 
 DT = 0.01
 STEP = 0.1

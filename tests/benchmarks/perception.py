@@ -17,6 +17,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from zarm_trajectory.arrays import Array
+
 os.environ.setdefault("MUJOCO_GL", "egl")
 
 import numpy as np
@@ -45,8 +47,6 @@ from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
 from zarm_servo.world.check import SceneCheck
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 ROBOT = load_robot("doosan_m1013")
 MODEL = RobotModel.of(ROBOT)

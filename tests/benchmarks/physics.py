@@ -20,10 +20,11 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
+from zarm_trajectory.arrays import Array
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -43,8 +44,6 @@ from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
 from zarm_simulated_driver.player import STEP
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 MODEL = RobotModel.of(ROBOT)
 POSTS = tuple(

@@ -19,10 +19,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from zarm_trajectory.arrays import Array
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -37,8 +38,6 @@ from zarm_geometry.world import World
 from zarm_planner.handlers import Handlers
 from zarm_servo.kernels.step import PERIOD
 from zarm_servo.tracking.targets import JointTarget, PoseTarget, rotation_vector
-
-Array = NDArray[np.float64]
 
 SECONDS = 20.0
 KEPT_MARGIN = 0.0005

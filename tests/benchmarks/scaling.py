@@ -21,9 +21,10 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+
+from zarm_trajectory.arrays import Array
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.harness import PATIENCE, ServiceProcess, router
@@ -56,8 +57,6 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
-
-Array = NDArray[np.float64]
 
 PLOT = Path(__file__).parents[2] / "docs" / "images" / "scaling.png"
 COUNTS = (10, 100, 1000, 10_000)

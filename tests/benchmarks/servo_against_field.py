@@ -20,11 +20,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from zarm_trajectory.arrays import Array
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import matplotlib
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -42,7 +43,6 @@ from zarm_trajectory.limits import Limits
 matplotlib.use("Agg")
 from matplotlib import pyplot
 
-Array = NDArray[np.float64]
 Servo = Callable[[Array], Array]
 """Given the pose (4, 4) that is to be reached, the joints (J,) one PERIOD later."""
 

@@ -19,7 +19,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -37,9 +36,8 @@ from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.registry import choose
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.warm_up import warm_up
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-
-Array = NDArray[np.float64]
 
 WORLD = World((), 0.005)
 POSITION = PoseTolerance(orientation=("free", "free", "free"))

@@ -28,9 +28,10 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import psutil
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+
+from zarm_trajectory.arrays import Array
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.harness import PATIENCE, ServiceProcess, eventually, free_endpoint
@@ -51,8 +52,6 @@ from zarm_runtime.session import open_client, open_router
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
-
-Array = NDArray[np.float64]
 
 PLOT = Path(__file__).parents[2] / "docs" / "images" / "tick.png"
 CLIENTS = 2 * (os.cpu_count() or 1)

@@ -18,10 +18,11 @@ import tempfile
 import time
 from pathlib import Path
 
+from zarm_trajectory.arrays import Array
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from toppra import SplineInterpolator
@@ -51,8 +52,6 @@ from zarm_planner.timing.smoothing import smooth_path
 from zarm_planner.timing.torque import TooHeavy, within_torque
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 PANDA = load_robot("panda")
 MODEL = RobotModel.of(PANDA)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -22,9 +21,8 @@ from zarm_geometry.world import World
 from zarm_servo.kernels.step import PERIOD
 from zarm_servo.tracking.controller import Controller
 from zarm_servo.tracking.targets import PoseTarget, Target, TwistTarget
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-
-Array = NDArray[np.float64]
 
 MARGIN = 0.01
 SPEED = 0.1

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from numpy.typing import NDArray
 
 import zarm
 from support.board_painter import image_of, painted
@@ -26,8 +25,7 @@ from zarm_contract.messages import Camera, Cuboid, DynamicObject, Intrinsics, Lo
 from zarm_geometry.frames import matrix, pose_of
 from zarm_hand_eye import Board, calibrate
 from zarm_runtime.bus import Bus
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 SIZE = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 PIXELS = SIZE._asdict()

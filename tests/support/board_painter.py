@@ -15,8 +15,8 @@ from zarm.robot import Robot
 from zarm_contract.messages import Intrinsics
 from zarm_hand_eye import Board
 from zarm_hand_eye.board import camera_matrix
+from zarm_trajectory.arrays import Array
 
-Array = NDArray[np.float64]
 _PERIOD = 0.1
 _FAR = 3000
 """mm; outside of the voxel map."""

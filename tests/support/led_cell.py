@@ -7,7 +7,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 import zarm
 from support.composed import composed
@@ -16,9 +15,8 @@ from zarm_contract.keys import Keys
 from zarm_contract.messages import JointState
 from zarm_contract.robot import load_robot
 from zarm_runtime.bus import Bus
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 CELL = """
 name: cell

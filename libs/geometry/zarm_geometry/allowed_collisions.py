@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.messages import VOXEL_MAP
+from zarm_trajectory.arrays import Bits
 
-Bits = NDArray[np.uint64]
 Pairs = tuple[tuple[str, str], ...]
 
 EVERY_LINK = ~np.uint64(0)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.messages import Attached, Mesh, Sphere, Vector3, Voxels
 from zarm_contract.robot import RobotDescription
@@ -17,8 +16,7 @@ from zarm_geometry.frames import matrix, of_rpy, rotation_to
 from zarm_geometry.rows import primitives
 from zarm_geometry.shapes import Shape, link_shape, obstacle_shape
 from zarm_geometry.sphere_cover import MOST_BALLS, sphere_cover
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 @dataclass(frozen=True)

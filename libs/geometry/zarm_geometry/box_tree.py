@@ -14,9 +14,7 @@ from zarm_geometry.allowed_collisions import EVERY_LINK
 from zarm_geometry.kernels.arrays import WorldArrays
 from zarm_geometry.kernels.median_split import median_split
 from zarm_geometry.kernels.refit import centers, refit
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int32]
+from zarm_trajectory.arrays import Array, Index
 
 BRANCHES = 4
 """Children per node."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from zarm_contract.messages import Attached, Capsule, Cuboid, Cylinder, Mesh, SceneObject, Sphere, Voxels
 from zarm_contract.robot import RobotDescription
@@ -17,9 +17,7 @@ from zarm_geometry.frames import matrix, of_rpy
 from zarm_geometry.inertia import usable_inertials
 from zarm_geometry.joint_tree import JointTree, Place
 from zarm_geometry.kernels.dynamics import torques
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from zarm_trajectory.arrays import Array, Indices
 
 
 class Weight(NamedTuple):
@@ -145,7 +143,7 @@ class Dynamics:
         still = np.zeros_like(np.asarray(position, dtype=float))
         return self.torque(position, still, still)
 
-    def of_group(self, joints: Index, standing: Array) -> GroupDynamics:
+    def of_group(self, joints: Indices, standing: Array) -> GroupDynamics:
         """Those of motions of some `joints` (n,), while the others stand as in `standing` (dof,)."""
         return GroupDynamics(self.tree, self.mass, self.center, self.inertia, self.limit, joints, standing)
 
@@ -154,7 +152,7 @@ class Dynamics:
 class GroupDynamics(Dynamics):
     """The torques of all joints, (n, dof), in motions of some `joints` (n, len(joints)), while the others stand as in `standing` (dof,) and hold what moves."""
 
-    joints: Index
+    joints: Indices
     standing: Array
 
     def torque(self, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:

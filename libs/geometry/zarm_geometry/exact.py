@@ -22,8 +22,7 @@ from zarm_geometry.kernels.motion import MotionBody, Solids, motion_body, solids
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.shapes import Shape, distance, nearest_points, obstacle_shape
 from zarm_geometry.world import World
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 RESOLUTION = 0.005
 """Along a motion whose samples are no further apart than this (m), nothing can go deeper into an object unnoticed."""

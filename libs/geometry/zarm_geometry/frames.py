@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from zarm_contract.messages import Pose, Quaternion, Vector3
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 def rotation(q: Quaternion) -> Array:

@@ -6,13 +6,11 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.collision import CollisionPrimitive
 from zarm_contract.robot import RobotDescription
 from zarm_contract.urdf import Inertial
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _OUTSIDE = 0.05
 """How far outside of the box around its link a centre of mass may be (m): a link may have more than its geometry."""

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.body import along
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int32]
+from zarm_trajectory.arrays import Array, Index
 
 Place = tuple[int, Array]
 """The joint that carries a frame, -1 for the base, and the frame (4, 4) in that joint's."""

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_trajectory.arrays import Array
+
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-Array = NDArray[np.float64]
 
 SMALL = 0.01
 """Holes up to this wide (m) are closed: no part of an arm reaches through."""

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import Mesh, Voxels
@@ -20,8 +19,7 @@ from zarm_geometry.box_tree import BoxTree
 from zarm_geometry.mesh_repair import closed
 from zarm_geometry.solid import around, inside
 from zarm_geometry.voxels import cells_of, coarse
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 MAX_TRIANGLES = 100_000
 MAX_BYTES = 32 * 1024 * 1024

@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import fcl
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import MAX_CELLS, MAX_INDEX
@@ -15,8 +14,7 @@ from zarm_geometry import rows
 from zarm_geometry.shapes import obstacle_shape
 from zarm_geometry.voxels import Cells, distinct
 from zarm_geometry.world import World
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _FIRST = 8
 """Initial number of blocks along the longest side of a shape in the search for its cells."""

@@ -19,7 +19,7 @@ from zarm_geometry.allowed_collisions import Pairs, link_bits, partners
 from zarm_geometry.body import Body, along, attached_body, bounding_ball, link_body
 from zarm_geometry.dynamics import Dynamics, Weight, weights_of, weights_of_load, weights_of_payloads
 from zarm_geometry.inertia import stances, stated_limits
-from zarm_geometry.joint_tree import Index, JointTree, Place
+from zarm_geometry.joint_tree import JointTree, Place
 from zarm_geometry.kernels.arrays import RobotArrays
 from zarm_geometry.kernels.broad_phase import Cover
 from zarm_geometry.kernels.kinematics import frames
@@ -27,8 +27,7 @@ from zarm_geometry.kernels.simd import LANES
 from zarm_geometry.self_margin import CONFIGURATIONS, pair_room
 from zarm_geometry.shapes import Shape
 from zarm_geometry.sphere_cover import sphere_cover
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array, Index
 
 Openings = tuple[tuple[str, float], ...]
 """Grippers of a robot with their openings (m)."""

@@ -11,12 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.messages import Cuboid, Cylinder, Primitive, Sphere
 from zarm_geometry.frames import rotations
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 WIDTH = 17
 """Numbers per shape."""

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.body import Body
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 CONFIGURATIONS = 512
 """Number of random configurations in which distances are measured."""

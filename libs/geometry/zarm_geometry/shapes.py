@@ -9,12 +9,10 @@ from typing import Any
 
 import fcl
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.collision import CollisionCuboid, CollisionCylinder, CollisionPrimitive, CollisionSphere
 from zarm_geometry.frames import matrix, rotation_to
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _DISTANCE = fcl.DistanceRequest()
 _IGNORED = fcl.DistanceResult(-math.inf)

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import SceneObject, Vector3
 from zarm_geometry import rows
-from zarm_geometry.allowed_collisions import Bits, Pairs, checked
+from zarm_geometry.allowed_collisions import Pairs, checked
 from zarm_geometry.exact import kept_margin, obstacles, robot_parts, subjects
 from zarm_geometry.kernels.clearance_search import Obstacles
 from zarm_geometry.kernels.motion import NO_MOVERS, MotionBody, Movers, Solids, motion_body, solids
@@ -20,8 +20,7 @@ from zarm_geometry.kernels.situation import GRADIENT_THERE, KEPT_MARGIN, Owner, 
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World, convex_shapes
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array, Bits
 
 _LEAST_KEPT = 0.002
 """Two links keep at least this much (m) of a margin, however close they always are."""

@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.voxels import edges, merged
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from zarm_trajectory.arrays import Array, Indices
 
 CELLS = 32
 """Most cells along the longest side of the surface's bounding box."""
@@ -45,7 +43,7 @@ def around(triangles: Array, most: int, *, solid: bool) -> tuple[Array, Array]:
         cells = max(1, cells * 3 // 4)
 
 
-_Place = Callable[[Index], tuple[Array, Array]]
+_Place = Callable[[Indices], tuple[Array, Array]]
 """Maps cells (n, 3) to the boxes into which they are merged, by their corners (m, 3)."""
 
 
@@ -63,7 +61,7 @@ def _cells(triangles: Array, cells: int) -> tuple[NDArray[np.bool_], NDArray[np.
             break
         cells //= 2
 
-    def place(chosen: Index) -> tuple[Array, Array]:
+    def place(chosen: Indices) -> tuple[Array, Array]:
         lower, upper = edges(*merged(chosen), size)
         return lower + size / 2 + low, upper + size / 2 + low
 
@@ -71,7 +69,7 @@ def _cells(triangles: Array, cells: int) -> tuple[NDArray[np.bool_], NDArray[np.
 
 
 def _touched_and_enclosed(
-    corners: Array, first: Index, count: Index, cells: int
+    corners: Array, first: Indices, count: Indices, cells: int
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """The unit cells (x, y, z) of a grid that a triangle touches, and those that the surface winds around; `first` and
     `count` (n, 2) are each triangle's columns.
@@ -99,7 +97,7 @@ def _touched_and_enclosed(
 
     grid = (cells + 2, cells + 2, cells + 3)  # with a layer around, where nothing is inside
 
-    def summed(column: Index, z: Array, weight: Array) -> Array:
+    def summed(column: Indices, z: Array, weight: Array) -> Array:
         """Weights summed along each column, each from its height on."""
         layer = np.clip(np.floor(z).astype(np.int64) + 1, 0, cells + 2)
         flat = np.ravel_multi_index((column[:, 0] + 1, column[:, 1] + 1, layer), grid)
@@ -116,7 +114,7 @@ def _touched_and_enclosed(
     return touched[shown] > 0.5, ((np.abs(winding) > 0.5) & closed)[shown]
 
 
-def _overlap(corners: Array, owner: Index, center: Array) -> NDArray[np.bool_]:
+def _overlap(corners: Array, owner: Indices, center: Array) -> NDArray[np.bool_]:
     """Whether unit squares around `center` (m, 2) meet triangles (n, 3, 2): no edge of the triangle separates them.
 
     The squares already lie within the triangle's bounding box, so this is the separating axis test for convex polygons.
@@ -132,7 +130,7 @@ def _overlap(corners: Array, owner: Index, center: Array) -> NDArray[np.bool_]:
     return meets
 
 
-def _contains(corners: Array, owner: Index, point: Array) -> Array:
+def _contains(corners: Array, owner: Indices, point: Array) -> Array:
     """1.0 where triangles (n, 3, 2) contain points (m, 2), else 0.0."""
     sides = []
     for edge in range(3):

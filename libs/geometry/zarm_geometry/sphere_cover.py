@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_geometry.shapes import Shape
+from zarm_trajectory.arrays import Array
 
-Array = NDArray[np.float64]
 Grid = tuple[int, int, int]
 
 MOST_BALLS = 64

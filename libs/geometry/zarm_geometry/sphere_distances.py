@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_geometry.exact import FARTHEST
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.rows import distances
 from zarm_geometry.world import World
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _BLOCK = 4096
 """Shapes of the scene processed together, to limit memory."""

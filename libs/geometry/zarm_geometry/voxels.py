@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import PointCloud, Voxels
 from zarm_geometry.kernels.joining import Codes, joined
+from zarm_trajectory.arrays import Array
 
-Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
 T = TypeVar("T", int, float)
 S = TypeVar("S", np.float64, np.int64)

@@ -7,7 +7,6 @@ from copy import copy
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.messages import Mesh, Primitive, SceneObject, Voxels
 from zarm_geometry import rows
@@ -16,8 +15,7 @@ from zarm_geometry.box_tree import BoxTree, joined
 from zarm_geometry.frames import matrix
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.voxels import cells_of, edges, merged
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 class World:

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Intrinsics
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _PIXELS = 100
 """Pixels along the edge of a square of the picture to print."""

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm import PoseGoal, TipFrame
 from zarm.robot import Robot
@@ -17,8 +16,7 @@ from zarm_geometry.frames import matrix, pose_of
 from zarm_hand_eye.board import Board, View
 from zarm_hand_eye.solving import Solution, solve
 from zarm_hand_eye.viewpoints import viewpoints
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 FEWEST = 5
 """Views without which the pose is not determined well."""

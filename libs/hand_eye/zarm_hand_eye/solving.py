@@ -10,14 +10,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from zarm_contract.messages import Intrinsics
 from zarm_hand_eye.board import View
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zarm_contract.messages import Intrinsics
 from zarm_hand_eye.board import Board
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _TILT = (0.17, 0.6)
 """rad between the first direction of view and others."""

@@ -13,7 +13,7 @@ from zarm_contract.messages import Cuboid, Cylinder, Plan, SceneObject, Sphere
 from zarm_geometry.frames import matrix
 from zarm_geometry.robot_model import RobotModel
 from zarm_mcp.policy import Policy
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 mpl.use("Agg")

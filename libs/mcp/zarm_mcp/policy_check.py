@@ -13,7 +13,7 @@ from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_mcp.policy import Policy
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 _SAMPLE = 0.01

@@ -13,8 +13,7 @@ from scipy.stats import qmc
 from zarm_robot_import.kernels.winding import winding
 from zarm_robot_import.surface_distance import SurfaceDistance
 from zarm_robot_import.triangles import thinned
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _POINTS = 12_000
 _BESIDE = 0.005

@@ -8,15 +8,13 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Quaternion
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.frames import rotation
 from zarm_geometry.robot_model import RobotModel
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 TOLERANCE = 0.005
 """Tips further apart than this (m) differ: more than an arm's nominal kinematics are off, less than the effect of any

@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from zarm_geometry.rows import bounds
@@ -21,8 +20,8 @@ from zarm_robot_import.kernels.middles import middles
 from zarm_robot_import.kernels.outside import least_outside
 from zarm_robot_import.primitives import grown, volumes
 from zarm_robot_import.triangles import points_on
+from zarm_trajectory.arrays import Array
 
-Array = NDArray[np.float64]
 Box = tuple[list[float], list[float]]
 """The lower and upper corner (3,) of a box, in m."""
 

@@ -9,12 +9,10 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_robot_import.description import Description, Joint
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 LARGEST = 20.0
 """A link larger than this, or a joint further than this (m) from its parent link, must be in millimetres."""

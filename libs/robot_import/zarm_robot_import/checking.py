@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.collision import is_free
@@ -19,8 +18,7 @@ from zarm_robot_import.limits import WIDEST
 from zarm_robot_import.primitives import rows_of
 from zarm_robot_import.source import read_source
 from zarm_robot_import.spheres import protrusion
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 SAMPLES = 1000
 """Random configurations; a condition true in more than 0.5 % of all is found with 99 % confidence."""

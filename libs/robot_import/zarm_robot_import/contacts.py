@@ -7,13 +7,11 @@ from typing import Any
 
 import fcl
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_robot_import.chain import Chain
 from zarm_robot_import.limits import JointLimits
 from zarm_robot_import.meshes import Surface
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 SAMPLES = 4000
 """Number of configurations: what none of them shows occurs in less than 3/SAMPLES of all, with 95 % confidence."""

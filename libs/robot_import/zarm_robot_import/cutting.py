@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_robot_import.body import Body
 from zarm_robot_import.cells import Cell, form_of, piece, tightest
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _CUTS = 5
 """Planes tried along each axis."""

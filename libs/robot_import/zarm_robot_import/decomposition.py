@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.collision import CollisionPrimitive
 from zarm_robot_import.body import Body
@@ -21,8 +20,7 @@ from zarm_robot_import.merging import merged
 from zarm_robot_import.partition import Partition
 from zarm_robot_import.primitives import below, grown, written
 from zarm_robot_import.protrusion import Measure
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 COUNT = 130
 """Triangles in this many primitives are not cut further."""

@@ -8,15 +8,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zarm_contract import urdf
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.urdf_elements import account_for
 from zarm_robot_import.source import Source
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _LONGEST = 200
 """Characters of a link's name; YAML takes no key of more than 1024."""

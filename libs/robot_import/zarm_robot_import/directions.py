@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_geometry.frames import rotation_to
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _SAME = math.cos(math.radians(1.0))
 """Axes whose angle has a larger cosine count as the same."""

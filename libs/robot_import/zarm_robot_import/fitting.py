@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zarm_contract.collision import CollisionPrimitive
 from zarm_robot_import.body import Body
 from zarm_robot_import.decomposition import fit_primitives
@@ -15,8 +12,7 @@ from zarm_robot_import.meshes import Surface
 from zarm_robot_import.primitives import rows_of
 from zarm_robot_import.protrusion import Measure, Out
 from zarm_robot_import.spheres import ball_rows, fit_covers
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 
 import fcl
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_robot_import.chain import Chain
 from zarm_robot_import.contacts import mesh_object
 from zarm_robot_import.description import Description, Joint
 from zarm_robot_import.meshes import Surface
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _STEPS = 25
 """Positions of the driven joint in which the opening is measured."""

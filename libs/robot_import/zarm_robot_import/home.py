@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_geometry.collision import is_free
@@ -16,8 +15,7 @@ from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_robot_import.contacts import SAMPLES
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _STEP = 1e-4
 _SHORTEST = 0.001

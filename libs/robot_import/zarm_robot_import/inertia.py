@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _ROUNDING = 1e-3
 """Part of the largest principal moment by which the rounded numbers of a URDF may be off."""

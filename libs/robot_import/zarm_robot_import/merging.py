@@ -6,15 +6,11 @@ from collections.abc import Iterable
 from heapq import heappop, heappush
 from itertools import combinations, count
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zarm_robot_import.body import Body
 from zarm_robot_import.cells import Cell, touch, union
 from zarm_robot_import.kernels.outside import within
 from zarm_robot_import.partition import Partition
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 def merged(partition: Partition, axes: Array, body: Body) -> Partition:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_geometry import mesh_files
@@ -18,8 +17,7 @@ from zarm_robot_import.description import Geometry, Link
 from zarm_robot_import.source import Source
 from zarm_robot_import.surface_distance import sticks_out
 from zarm_robot_import.triangles import gathered
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 MOST_TRIANGLES = 3_000_000
 MOST_KEPT = 200_000

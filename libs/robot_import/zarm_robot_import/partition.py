@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_robot_import.cells import Cell, touch
 from zarm_robot_import.protrusion import Measure, Out
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 class Partition:

@@ -6,15 +6,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_geometry.robot_model import RobotModel
 from zarm_robot_import.fitting import Fitted
 from zarm_robot_import.primitives import below, triangles_of
 from zarm_robot_import.spheres import ball_rows
 from zarm_robot_import.triangles import points_on
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _POINTS = 60_000
 _VIEW = np.array([0.75, -0.6, 0.35])

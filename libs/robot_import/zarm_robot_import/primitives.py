@@ -20,8 +20,7 @@ from zarm_contract.collision import (
 )
 from zarm_geometry.shapes import link_shape
 from zarm_robot_import.kernels.outside import within
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 def written(row: Array) -> CollisionPrimitive:

@@ -13,8 +13,7 @@ from zarm_robot_import.body import FAR, Body
 from zarm_robot_import.kernels.outside import within
 from zarm_robot_import.primitives import triangles_of
 from zarm_robot_import.triangles import areas, points_on
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 MEAN, MOST = 0.004, 0.012
 """How far (m) the primitives of a link may protrude on average, and at most: tighter ones are not looked for, ..."""

@@ -13,8 +13,7 @@ from scipy.spatial.distance import cdist
 from zarm_geometry.shapes import distance, link_shape
 from zarm_robot_import.contacts import SAMPLES, Contacts
 from zarm_robot_import.fitting import Fitted
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 CLEAR = 0.005
 """Meshes that come no closer than this (m), in samples and in a search from the closest of them, are assumed never to

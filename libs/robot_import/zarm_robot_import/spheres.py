@@ -24,8 +24,7 @@ from zarm_robot_import.kernels.balls import around_shapes
 from zarm_robot_import.kernels.middles import middles
 from zarm_robot_import.primitives import below, triangles_of
 from zarm_robot_import.triangles import areas, points_on
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 BUDGET = 80
 """Balls in the cover of the whole robot."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from zarm_robot_import.kernels.surface_distance import least_distances
 from zarm_robot_import.kernels.winding import winding
 from zarm_robot_import.triangles import points_on
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _POINTS = 20_000
 """Points that are spread over the triangles, ..."""

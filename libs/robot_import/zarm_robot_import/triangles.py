@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _THINNED = 2000
 """Number of triangles that is enough to decide what is inside."""

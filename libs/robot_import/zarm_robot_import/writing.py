@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zarm_contract.collision import CollisionPrimitive
@@ -21,8 +20,7 @@ from zarm_robot_import.fitting import Fitted
 from zarm_robot_import.gripper import ImportedGripper
 from zarm_robot_import.limits import JointLimits
 from zarm_robot_import.self_collision import Pair
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _PLAIN = re.compile(r"[A-Za-z_][\w.-]*", re.ASCII)
 _WORDS = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}

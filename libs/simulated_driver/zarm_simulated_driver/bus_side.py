@@ -14,7 +14,7 @@ from zarm_runtime.bus import Bus
 from zarm_runtime.expiry import Expiry
 from zarm_simulated_driver.axes import Axes
 from zarm_simulated_driver.driver import Command, PlaybackProgress
-from zarm_simulated_driver.player import Array
+from zarm_trajectory.arrays import Array
 
 log = logging.getLogger(__name__)
 

@@ -24,7 +24,8 @@ from zarm_contract.messages import (
     Nothing,
     Vector3,
 )
-from zarm_simulated_driver.player import STEP, Array
+from zarm_simulated_driver.player import STEP
+from zarm_trajectory.arrays import Array
 
 log = logging.getLogger(__name__)
 

@@ -18,7 +18,7 @@ from zarm_runtime.service import Service
 from zarm_simulated_driver.axes import Axes
 from zarm_simulated_driver.bus_side import BusSide
 from zarm_simulated_driver.driver import Arm, Hands, SimulatedDriver
-from zarm_simulated_driver.player import Array
+from zarm_trajectory.arrays import Array
 
 if TYPE_CHECKING:
     from zarm_simulated_driver.ros_side import RosSide

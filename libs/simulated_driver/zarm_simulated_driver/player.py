@@ -10,12 +10,10 @@ import math
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Vector3
-
-Array = npt.NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 TICK = 0.02
 """One point is played for this long, s: the timer of the Doosan bridge."""

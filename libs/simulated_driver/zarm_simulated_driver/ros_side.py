@@ -22,7 +22,7 @@ from zarm_contract.descriptor import StrategyParams
 from zarm_runtime import dds
 from zarm_simulated_driver.axes import Axes
 from zarm_simulated_driver.driver import Command, PlaybackProgress
-from zarm_simulated_driver.player import Array
+from zarm_trajectory.arrays import Array
 
 DEPTH = 10
 """Queue depth of each topic, as with the real driver."""

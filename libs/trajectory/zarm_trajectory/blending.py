@@ -15,8 +15,9 @@ from __future__ import annotations
 import numpy as np
 
 from zarm_contract.errors import ExecutionRefused, InvalidRequest
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import LIMIT_TOLERANCE, Limits
-from zarm_trajectory.quintic import Array, coefficients, control_points, derivative, states
+from zarm_trajectory.quintic import coefficients, control_points, derivative, states
 from zarm_trajectory.trajectory import TimedTrajectory
 
 BLENDS = np.array([0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0])

@@ -19,8 +19,8 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from zarm_contract.errors import InternalError
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.path_state import PathState
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.rate_bounds import ROW, RateBounds, RateLimits, ease, rate_after
 from zarm_trajectory.retimed import RetimedTrajectory
 from zarm_trajectory.trajectory import TimedTrajectory

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from zarm_contract.errors import ExecutionRefused
 from zarm_contract.robot import RobotDescription
 from zarm_trajectory import quintic
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 LIMIT_TOLERANCE = 1.01

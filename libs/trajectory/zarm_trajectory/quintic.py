@@ -9,9 +9,8 @@ from collections.abc import Sequence
 from math import comb
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _HERMITE = np.array(
     # way    v0    a0    v1    a1

@@ -18,7 +18,7 @@ from functools import lru_cache
 import numpy as np
 
 from zarm_contract.descriptor import RobotDescriptor
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 ROW = 0.01

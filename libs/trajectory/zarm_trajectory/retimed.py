@@ -7,8 +7,8 @@ from typing import Self
 
 import numpy as np
 
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.path_state import PathState
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 

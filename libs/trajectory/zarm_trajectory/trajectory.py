@@ -14,7 +14,7 @@ import numpy.typing as npt
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Trajectory
 from zarm_trajectory import quintic
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

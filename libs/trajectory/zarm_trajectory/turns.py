@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 
 TURN = 2.0 * math.pi
 

@@ -9,8 +9,8 @@ from zarm_contract.errors import ExecutionRefused, InvalidRequest
 from zarm_contract.messages import Trajectory
 from zarm_contract.robot import RobotDescription
 from zarm_executor.strategies.base import Measured
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import POSITION_TOLERANCE, Limits
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 REST_VELOCITY = 1e-3

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from zarm_executor.strategies.base import Measured
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.follower import CATCH_UP
-from zarm_trajectory.quintic import Array
 
 _WINDOW = 0.3
 """Time constant (s) with which older ticks are forgotten."""

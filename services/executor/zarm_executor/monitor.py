@@ -7,8 +7,8 @@ import numpy as np
 from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.errors import ExecutionFailed, Problem
 from zarm_executor.strategies.base import Measured, Progress
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.follower import CATCH_UP
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 SLOWEST_PACE = 0.05

@@ -18,9 +18,9 @@ from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.reporter import Reporter
 from zarm_executor.tick_clock import EARLIEST
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.blending import blended
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)

@@ -6,7 +6,6 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.image import decode_cloud, decode_image
@@ -14,8 +13,7 @@ from zarm_contract.messages import Camera, CameraState, Intrinsics
 from zarm_geometry.frames import matrix
 from zarm_geometry.robot_model import RobotModel
 from zarm_perception.kernels.integration import Depth, View, project
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 OLDEST, EARLIEST = 0.5, 0.02
 """An image may be this old (s) when it arrives, and stamped this far (s) in the future."""

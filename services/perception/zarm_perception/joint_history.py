@@ -8,11 +8,9 @@ from bisect import bisect_left
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.messages import JointState
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _KEPT = 2000
 """Joint states that are kept: some seconds."""

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.messages import Mesh, SceneObject, Voxels
 from zarm_geometry import rows
 from zarm_geometry.robot_model import RobotModel
 from zarm_perception.voxel_map import RobotShape
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 GRIPPED = 0.25
 """The largest thing of the scene, by the ball around it (m), that is left out: it must not be in the way of a gripper."""

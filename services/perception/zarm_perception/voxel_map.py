@@ -27,8 +27,8 @@ from zarm_perception.kernels.integration import (
     mask_robot,
     take_out,
 )
+from zarm_trajectory.arrays import Array
 
-Array = NDArray[np.float64]
 Cells = NDArray[np.bool_]
 BlockIndex = tuple[int, int, int]
 

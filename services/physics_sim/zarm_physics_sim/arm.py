@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.gripper import Gripper
 from zarm_contract.messages import Attached, DriverGripperCommand, Vector3
@@ -19,8 +18,7 @@ from zarm_physics_sim.simulation import STEP, Simulation
 from zarm_physics_sim.world import World
 from zarm_simulated_driver import player
 from zarm_simulated_driver.player import Player
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _STEPS = round(player.STEP / STEP)
 _EVERY = 2

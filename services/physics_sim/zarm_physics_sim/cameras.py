@@ -21,7 +21,6 @@ from zarm_runtime.bus import Bus
 
 log = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
 
 _NEAR, _FAR = 0.02, 50.0
 """What is nearer or farther (m) is not seen at all."""

@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import NonNegative, Positive
 from zarm_contract.section import Section, read_section
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _DAMPING = 1.0
 """Of the position loop, as a share of critical damping."""

@@ -17,8 +17,7 @@ from zarm_geometry.inertia import stances, stated_limits, usable_inertials
 from zarm_physics_sim.robot_body import add_mass, add_robot, payload_name
 from zarm_physics_sim.shapes import wxyz
 from zarm_physics_sim.world import World, add_object, body_name, is_object, object_name
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 STEP = 0.001
 """Time step, s."""

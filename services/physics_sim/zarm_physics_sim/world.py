@@ -9,14 +9,12 @@ from typing import Any, Self
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import DynamicObject, LoadWorld, MovingObjects, SceneObject
 from zarm_contract.world import world_faults
 from zarm_physics_sim.shapes import object_geoms, pose_of
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _OBJECT = "object/"
 

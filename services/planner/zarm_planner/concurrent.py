@@ -22,10 +22,9 @@ from zarm_planner.pipeline import Verified
 from zarm_planner.planners.base import Planner
 from zarm_planner.verification.margins import too_near
 from zarm_planner.verification.verify import VerificationFailed, verify
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import SHORTEST, TimedTrajectory
-
-Array = NDArray[np.float64]
 
 _STARTS = 24
 """How many beginnings are tried before the others rest."""

@@ -16,9 +16,8 @@ from zarm_planner.context import PlanningContext
 from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.base import Planner
 from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

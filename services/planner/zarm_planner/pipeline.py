@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import DeadlineExceeded, InvalidRequest, PlanningFailed
 from zarm_contract.messages import (
@@ -33,9 +32,8 @@ from zarm_planner.verification.margins import too_near
 from zarm_planner.verification.tool_path import first_contact, verify_tool_path
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_planner.verification.waypoints import passing_times
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 _FASTEST_ONLY = 2
 """Attempts in which a refused trajectory is replaced by another route, before other timings of the same route are

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import AttachObject, Grip, PlannedGrip, PlannerSettings, ProgramRequest
 from zarm_geometry.gripper_openings import GripperOpenings
@@ -19,9 +16,8 @@ from zarm_planner.scene.scene_cache import ReadyScene, SceneCache
 from zarm_planner.scene.store import SceneStore
 from zarm_planner.scene.tools import at_tool
 from zarm_planner.stage_timer import StageTimer
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-
-Array = NDArray[np.float64]
 
 
 class ProgramStage:

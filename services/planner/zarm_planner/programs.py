@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest, PlanningFailed, Problem, ZarmError, from_problem
 from zarm_contract.messages import (
@@ -57,9 +56,8 @@ from zarm_planner.planners.base import Planner
 from zarm_planner.planners.registry import AUTO, choose
 from zarm_planner.timing.sampling import MAX_SAMPLES
 from zarm_planner.timing.time_parameterization import joined
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 ALONG_CURVE = {*LineGoal.model_fields} & {*PathGoal.model_fields} - {"kind"}
 """The fields that lines and paths have in common."""

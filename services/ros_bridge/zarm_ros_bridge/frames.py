@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
 
@@ -26,8 +25,7 @@ from zarm_ros_bridge.grippers import Grippers
 from zarm_ros_bridge.link_frames import LinkFrames
 from zarm_ros_bridge.ros import Ros
 from zarm_ros_bridge.transforms import HISTORY, Transforms, UnknownFrame
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 PATIENCE = 0.5
 """How long (s) a transform may be on its way."""

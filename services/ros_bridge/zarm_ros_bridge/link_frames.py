@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.robot import RobotDescription
 from zarm_contract.urdf import Joint
 from zarm_geometry.frames import rotated_by
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 class LinkFrames:

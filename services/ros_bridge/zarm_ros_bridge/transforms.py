@@ -7,13 +7,11 @@ from bisect import bisect_left
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Pose
 from zarm_geometry.frames import matrix
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 HISTORY = 10.0
 """How long (s) transforms are kept, as in tf2."""

@@ -15,8 +15,9 @@ from viser.transforms import SE3
 
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import IkRequest
+from zarm_trajectory.arrays import Array
 from zarm_viewer.arm import STILL, Arm, Ghost
-from zarm_viewer.kinematics import Array, message_of, pose_at
+from zarm_viewer.kinematics import message_of, pose_at
 from zarm_viewer.panel_context import PanelContext
 
 FREE, COLLIDING, UNREACHABLE = (64, 192, 87), (240, 62, 62), (134, 142, 150)

@@ -12,9 +12,10 @@ from viser.transforms import SE3
 
 from zarm_contract.robot import RobotDescription
 from zarm_contract.urdf import Joint
+from zarm_trajectory.arrays import Array
 from zarm_viewer.body import Body
 from zarm_viewer.drawing import Brush, Colour, link_mesh
-from zarm_viewer.kinematics import Array, motion, origin
+from zarm_viewer.kinematics import motion, origin
 
 SPHERES = (250, 176, 5)
 STILL = 1e-4

@@ -13,7 +13,7 @@ from viser import CameraFrustumHandle, SceneNodeHandle
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.image import COUNTS, OF_ROBOT, decode_color, decode_image, mask_step
 from zarm_contract.messages import Camera, Cameras, Intrinsics
-from zarm_viewer.kinematics import Array
+from zarm_trajectory.arrays import Array
 from zarm_viewer.panel_context import PanelContext
 
 LINES, UNKNOWN = (116, 143, 252), (40, 44, 60)

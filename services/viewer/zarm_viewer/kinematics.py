@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from viser import SceneNodeHandle
 from viser.transforms import SE3, SO3
 
 from zarm_contract.messages import Pose
 from zarm_contract.robot import RobotDescription
 from zarm_contract.urdf import Joint
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 def origin(joint: Joint) -> SE3:

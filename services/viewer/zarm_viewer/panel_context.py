@@ -15,8 +15,9 @@ from viser import ClientHandle
 from zarm.robot import Robot
 from zarm_contract.errors import Unavailable, ZarmError
 from zarm_contract.robot import RobotDescription
+from zarm_trajectory.arrays import Array
 from zarm_viewer.body import Body, body_of
-from zarm_viewer.kinematics import Array, Chain
+from zarm_viewer.kinematics import Chain
 
 log = logging.getLogger(__name__)
 

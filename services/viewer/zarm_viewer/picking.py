@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from viser import MeshHandle, PointCloudHandle, SceneNodeHandle
 
-from zarm_viewer.kinematics import Array, pose_at
+from zarm_trajectory.arrays import Array
+from zarm_viewer.kinematics import pose_at
 
 
 def distance(origin: Array, direction: Array, drawn: SceneNodeHandle) -> float:

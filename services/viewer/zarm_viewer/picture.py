@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.messages import Trajectory, Vector3
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.arm import Arm, Ghost
 from zarm_viewer.camera_view import CameraView
-from zarm_viewer.kinematics import Array
 from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.scene_view import SceneView
 from zarm_viewer.simulation_view import SimulationView

@@ -18,7 +18,7 @@ from zarm_contract.messages import GoalState, GripperState, JointState, Message,
 from zarm_geometry.voxel_blocks import VoxelBlocks
 from zarm_runtime.record import read_record
 from zarm_runtime.recorded import Recorded
-from zarm_viewer.kinematics import Array
+from zarm_trajectory.arrays import Array
 from zarm_viewer.watching import News, in_order, tracking_error
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)

@@ -13,8 +13,9 @@ from viser import GuiUplotHandle, uplot
 from zarm.robot import Robot
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import Plan
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
-from zarm_viewer.kinematics import Array, Chain
+from zarm_viewer.kinematics import Chain
 from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.watching import News
 

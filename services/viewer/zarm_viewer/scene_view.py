@@ -10,8 +10,8 @@ from viser import SceneNodeHandle
 from viser.transforms import SE3
 
 from zarm_contract.messages import Scene, SceneObject
+from zarm_trajectory.arrays import Array
 from zarm_viewer.drawing import Brush, draw_object
-from zarm_viewer.kinematics import Array
 from zarm_viewer.panel_context import PanelContext
 from zarm_viewer.picking import distance
 

@@ -9,8 +9,8 @@ import numpy as np
 from viser import SceneNodeHandle
 
 from zarm_contract.messages import Contact, PhysicsObjects, PhysicsState, SceneObject
+from zarm_trajectory.arrays import Array
 from zarm_viewer.drawing import Brush, draw_object
-from zarm_viewer.kinematics import Array
 from zarm_viewer.panel_context import PanelContext
 
 BODY, PRESSING = (166, 124, 82), (224, 49, 49)

@@ -9,8 +9,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from zarm_contract.collision import CollisionCapsule, CollisionCylinder, CollisionPrimitive, CollisionSphere
+from zarm_trajectory.arrays import Array
 
-Array = NDArray[np.float64]
 Distance = Callable[[Array], Array]
 
 DEVIATION = 0.01

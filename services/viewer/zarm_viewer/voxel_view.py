@@ -13,7 +13,7 @@ from viser import PointCloudHandle
 
 from zarm_contract.messages import Voxels
 from zarm_contract.messages.perception import BLOCK
-from zarm_viewer.kinematics import Array
+from zarm_trajectory.arrays import Array
 from zarm_viewer.panel_context import PanelContext
 
 NEW, OLD = (250, 176, 5), (150, 130, 170)

@@ -31,7 +31,7 @@ from zarm_contract.messages import (
     Voxels,
 )
 from zarm_geometry.voxel_blocks import VoxelBlocks
-from zarm_viewer.kinematics import Array
+from zarm_trajectory.arrays import Array
 
 _MAP_PERIOD = 0.5
 """Least time (s) between two drawings of the voxel map, and of depth images."""

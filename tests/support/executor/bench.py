@@ -17,11 +17,11 @@ from zarm_executor.guard import Guard
 from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.strategies.base import Measured, Progress, Steerable
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.blending import blended
 from zarm_trajectory.follower import TICK, Follower
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.path_state import PathState
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)

@@ -27,9 +27,9 @@ from zarm_executor.monitor import Monitor
 from zarm_executor.strategies import build_strategies
 from zarm_runtime.expiry import Expiry
 from zarm_simulated_driver.player import CEILING, STEP, Player
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.blending import blended
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_trajectory.turns import whole_turns
 

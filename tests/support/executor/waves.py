@@ -9,7 +9,7 @@ import numpy as np
 from support.trajectories import HOME
 from zarm_contract.messages import Trajectory
 from zarm_contract.robot import RobotDescription
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 AMPLITUDE, PERIOD = 0.3, 4.0

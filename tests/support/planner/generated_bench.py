@@ -11,7 +11,6 @@ import itertools
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from support.planner.motion_bench import Problem
 from zarm_contract.messages import Cuboid, Cylinder, SceneObject
@@ -21,8 +20,7 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
 from zarm_planner.kinematics.ik import solve_ik
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 SCENES = ("cage", "bookshelf_tall", "bookshelf_thin", "table_under_pick")
 

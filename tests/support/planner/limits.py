@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.quintic import Array
 
 
 def joint_limits(velocity: Array, acceleration: Array, jerk: Array) -> Limits:

@@ -6,15 +6,13 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from ompl import base, geometric, util
 
 from zarm_geometry.kernels.arrays import memory
 from zarm_geometry.kernels.edge import path_free
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 @dataclass(frozen=True)

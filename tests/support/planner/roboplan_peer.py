@@ -7,15 +7,13 @@ from itertools import combinations
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from numpy.typing import NDArray
 from roboplan import core, rrt
 
 from support.planner.ompl_peer import STEP, Run
 from zarm_contract.messages import Cuboid, SceneObject
 from zarm_geometry.frames import matrix
 from zarm_geometry.robot_model import RobotModel
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 def scene(model: RobotModel, objects: tuple[SceneObject, ...]) -> core.Scene:

@@ -11,14 +11,13 @@ from typing import Any
 
 import fcl
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from zarm_contract.collision import CollisionCapsule, CollisionCuboid, CollisionPrimitive, CollisionSphere
 from zarm_contract.messages import Attached, Cuboid, Cylinder, Quaternion, SceneObject, Sphere
 from zarm_contract.robot import RobotDescription
 from zarm_contract.urdf import Joint
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 def link_pose(robot: RobotDescription, link: str, q: ArrayLike) -> Array:

@@ -6,13 +6,11 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, SceneObject, Sphere
 from zarm_geometry.frames import matrix
 from zarm_geometry.robot_model import RobotModel
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 def random_object(kind: str, name: str, center: Array, size: float, rng: np.random.Generator) -> SceneObject:

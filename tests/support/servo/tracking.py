@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.messages import LoadScene, SceneEdit, SceneObject
 from zarm_geometry.motion_check import MotionCheck
@@ -23,9 +22,9 @@ from zarm_servo.tracking.global_plan import GlobalPlan, find_global_plan
 from zarm_servo.tracking.local_goal import LocalGoal
 from zarm_servo.tracking.session import soft
 from zarm_servo.tracking.targets import JointTarget, PoseTarget
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from support.composed import torso_with_arms
 from support.planner.small_arm import small_arm
@@ -20,8 +19,7 @@ from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.situation import MovingObject
 from zarm_geometry.world import World
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 MARGIN = 0.005
 TIMES = np.linspace(0.0, 2.0, 60)

@@ -7,7 +7,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from support.composed import two_pandas
 from zarm_contract.errors import InvalidRequest
@@ -19,8 +18,7 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_physics_sim.robot_body import add_robot
 from zarm_physics_sim.simulation import Simulation
 from zarm_physics_sim.world import World
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 LOAD = Cuboid(kind="cuboid", name="load", position=(0.1, 0.0, 0.05), size=(0.1, 0.1, 0.1))
 CARRIED = Attached(object=LOAD, mass=3.0)

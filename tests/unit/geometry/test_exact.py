@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from support.examples import examples
 from support.planner.small_arm import small_arm
@@ -23,8 +22,7 @@ from zarm_geometry.frames import matrix, rotation_to
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.shapes import Shape, distance, obstacle_shape
 from zarm_geometry.world import World
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 MARGIN = 0.005
 """Of the world; exact distances know nothing of it."""

@@ -8,7 +8,6 @@ import fcl
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 
 from support.planner.small_arm import DESCRIPTOR, URDF
 from support.planner.sphere_model import gaps_to_itself, random_joints, spheres
@@ -24,8 +23,6 @@ from zarm_geometry.kernels import refit
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
-
-Array = NDArray[np.float64]
 
 TURNED = (0.1, -0.5, 0.3, float(np.sqrt(1 - 0.35)))
 AT = (0.5, 0.2, 0.5)

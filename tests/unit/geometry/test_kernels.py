@@ -6,7 +6,6 @@ import fcl
 import numba
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from support.planner.small_arm import small_arm
 from support.planner.sphere_model import (
@@ -23,15 +22,13 @@ from zarm_contract.messages import Capsule, Cuboid, Cylinder, PlannerSettings, S
 from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
 from zarm_geometry.frames import rotation
-from zarm_geometry.kernels.arrays import Single
 from zarm_geometry.kernels.collision import RESOLUTION
 from zarm_geometry.kernels.placing import sine_cosine
 from zarm_geometry.kernels.simd import LANES, load, pointer, store
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.kernels.trees import Trees, add, make_trees, nearest_node
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Single
 
 
 @pytest.fixture(scope="module", params=sampled("panda", "doosan_m1013", "small_arm"))

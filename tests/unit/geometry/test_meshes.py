@@ -13,7 +13,6 @@ import fcl
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 
 from support.planner.sphere_model import gaps_to_itself, random_joints, spheres
 from zarm_contract.errors import InvalidRequest, Unavailable
@@ -28,8 +27,7 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.scene.store import SceneStore
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 TURNED = (0.1, -0.5, 0.3, float(np.sqrt(1 - 0.35)))
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from support.composed import torso_with_arms
 from support.examples import examples
@@ -25,8 +24,7 @@ from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.situation import MovingObject
 from zarm_geometry.world import World
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 MARGIN = 0.01
 DENSE = 1500

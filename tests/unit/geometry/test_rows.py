@@ -6,20 +6,17 @@ import numba
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 
 from support.planner.sphere_model import distance as gap_to
 from support.planner.sphere_model import random_objects
 from zarm_contract.collision import CollisionCuboid, CollisionCylinder
 from zarm_geometry import rows
-from zarm_geometry.kernels.arrays import Single
 from zarm_geometry.kernels.collision import squared_distance
 from zarm_geometry.kernels.convex import core_gap
 from zarm_geometry.kernels.simd import LANES, load, pointer, store
 from zarm_geometry.shapes import distance, link_shape, obstacle_shape
 from zarm_geometry.world import World
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array, Single
 
 
 @numba.njit

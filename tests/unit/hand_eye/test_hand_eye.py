@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from support.board_painter import image_of
@@ -14,8 +13,7 @@ from zarm_hand_eye import Board
 from zarm_hand_eye.board import View
 from zarm_hand_eye.solving import Solution, solve
 from zarm_hand_eye.viewpoints import viewpoints
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 SIZE = Intrinsics(640, 480, 600.0, 610.0, 322.0, 237.0)
 BOARD = Board()

@@ -19,8 +19,7 @@ from zarm_perception.kernels.integration import FREE, OCCUPIED, PASSES, UNSEEN, 
 from zarm_perception.robot_shape import RobotShapes
 from zarm_perception.saved_map import load, save
 from zarm_perception.voxel_map import RobotShape, VoxelMap
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 WIDTH, HEIGHT, FOCAL = 160, 120, 150.0
 NOBODY = RobotShape(np.zeros((0, 17)), np.zeros((0, 4)))

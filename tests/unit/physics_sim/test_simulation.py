@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from zarm_contract.messages import (
     Attached,
@@ -22,8 +21,7 @@ from zarm_physics_sim.drives import PRESETS
 from zarm_physics_sim.hands import PhysicalHands
 from zarm_physics_sim.simulation import STEP, Simulation
 from zarm_physics_sim.world import World
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 GRAVITY = 9.81
 EMPTY = World()

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from support.planner.small_arm import small_arm
 from support.planner.sphere_model import random_joints
@@ -26,8 +25,7 @@ from zarm_planner.handlers import Handlers
 from zarm_planner.kinematics import batches
 from zarm_planner.kinematics.batches import WORTH_A_GPU, batch_fk, batch_ik
 from zarm_planner.scene.store import SceneStore
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 ROBOTS = ("doosan_m1013", "panda", "ur5e", "ur10e", "small_arm")
 

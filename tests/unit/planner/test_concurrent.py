@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from support.composed import two_pandas
 from zarm_contract.errors import InvalidRequest
@@ -18,10 +17,9 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 LEFT, RIGHT = slice(7), slice(7, 14)
 DOWN = (1.0, 0.0, 0.0, 0.0)

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from support.planner.sphere_model import random_objects
 from support.tiers import sampled
@@ -24,9 +23,8 @@ from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.search.disconnection import _Grid, _inner_balls, find_disconnection
 from zarm_planner.search.rrt_connect import search
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-
-Array = NDArray[np.float64]
 
 MODELS = {name: RobotModel.of(load_robot(name)) for name in ("ur10e", "panda")}
 

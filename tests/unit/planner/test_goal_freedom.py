@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from support.planner.second_opinion import link_pose
 from zarm_contract.errors import InvalidRequest, PlanningFailed
@@ -32,9 +31,8 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.registry import choose
 from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-
-Array = NDArray[np.float64]
 
 M1013 = RobotModel.of(load_robot("doosan_m1013"))
 PANDA = RobotModel.of(load_robot("panda"))

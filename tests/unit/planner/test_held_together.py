@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from support.composed import torso_with_arms, two_pandas
 from support.examples import examples
@@ -37,10 +36,9 @@ from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.handlers import Handlers
 from zarm_planner.kernels.manifold import CLOSE
 from zarm_planner.scene.store import SceneStore
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 DOWN = (1.0, 0.0, 0.0, 0.0)
 TRAY = PathConstraint(axes=(True,) * 6, group="right", relative_to="left")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from support.planner.sphere_model import clearances
 from zarm_contract.messages import Cuboid
@@ -16,10 +15,10 @@ from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import shortcut
 from zarm_planner.timing.improvement import GAIN, Improvement
 from zarm_planner.timing.sampling import load
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
 
-Array = NDArray[np.float64]
 Route = tuple[Array, tuple[int, ...]]
 
 WALL = (Cuboid(kind="cuboid", name="wall", position=(0.6, 0.0, 0.3), size=(0.8, 0.02, 0.6)),)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from support.planner.small_arm import small_arm
@@ -21,8 +20,7 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
 from zarm_planner.kinematics.ik import solve_ik
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 ROBOTS = ("doosan_m1013", "panda", "ur5e", "ur10e")
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from support.examples import examples
 from zarm_contract.errors import InvalidRequest
@@ -20,10 +19,9 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.timing.averaging import Averaging
 from zarm_planner.timing.smoothing import smooth_path
 from zarm_planner.timing.time_parameterization import time_path
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 MODEL = RobotModel.of(load_robot("doosan_m1013"))
 HOME = np.array(MODEL.robot.descriptor.home)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from support.examples import examples
 from support.jerk import greatest_jerk
@@ -40,10 +39,9 @@ from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.scene.store import SceneStore
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 MODELS = {name: RobotModel.of(load_robot(name)) for name in ("doosan_m1013", "panda")}
 M1013 = MODELS["doosan_m1013"]

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from support.examples import examples
 from support.planner.second_opinion import link_pose
@@ -30,10 +29,9 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.manifold import CLOSE
 from zarm_planner.kinematics.ik import solve_ik
 from zarm_planner.timing.sampling import load
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 DT = 0.02
 UPRIGHT = PathConstraint(axes=(True, True, False, False, False, False))

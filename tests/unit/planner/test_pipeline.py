@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from support.planner.small_arm import DESCRIPTOR, URDF
 from support.planner.unchecked_pairs import JOINTS, unchecked_pairs
@@ -28,9 +27,8 @@ from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.planners.route import _quickest_chain, find_route
 from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-
-Array = NDArray[np.float64]
 
 HOME = np.array([0.0, 0.0, 1.5708, 0.0, 1.5708, 0.0])
 SWUNG = HOME + [1.3, 0, 0, 0, 0, 0]

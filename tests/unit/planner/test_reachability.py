@@ -6,16 +6,14 @@ import logging
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from toppra.algorithm import TOPPRA
 from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
 from support.planner.limits import joint_limits
 from zarm_planner.timing.averaging import Averaging, total_ways
 from zarm_planner.timing.time_parameterization import Profile, fastest_along, round_corners, through
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 DT = 0.01
 POINTS = 200

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from support.planner import generated_bench, motion_bench
 from support.planner.small_arm import small_arm
@@ -25,8 +24,7 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.planners.free import LEG_SAMPLES
 from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import quickest_of, shortcut
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 WALL = (Cuboid(kind="cuboid", name="wall", position=(0.6, 0.0, 0.3), size=(0.8, 0.02, 0.6)),)
 """Stands in front of the robot, so that it must go over it from one side to the other."""

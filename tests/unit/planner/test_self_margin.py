@@ -6,7 +6,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import JointGoal, PathConstraint
@@ -21,9 +20,8 @@ from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.constrained import ConstrainedPlanner
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-
-Array = NDArray[np.float64]
 
 MODEL = RobotModel.of(load_robot("ur5e"))
 EMPTY = World((), 0.0)

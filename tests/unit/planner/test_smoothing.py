@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from support.examples import examples
 from support.jerk import greatest_jerk
@@ -29,10 +28,9 @@ from zarm_planner.search.shortcut import shortcut
 from zarm_planner.timing.sampling import load
 from zarm_planner.timing.smoothing import DEVIATION, Smoothing, smooth_path
 from zarm_planner.timing.time_parameterization import time_path
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 WALL = (Cuboid(kind="cuboid", name="wall", position=(0.6, 0.0, 0.3), size=(0.8, 0.02, 0.6)),)
 LEFT = np.array([0.6, 0.6, 0.0, -1.8, 0.0, 2.4, 0.785])

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from support.planner.second_opinion import link_pose
 from support.tiers import sampled
@@ -29,10 +28,9 @@ from zarm_planner.kinematics.ik import IkResult
 from zarm_planner.pipeline import plan
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 MODELS = {name: RobotModel.of(load_robot(name)) for name in ("panda", "doosan_m1013")}
 KEPT_MARGIN = 0.001

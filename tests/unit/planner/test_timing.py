@@ -10,7 +10,6 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from numpy.typing import NDArray
 
 from support.examples import examples
 from support.jerk import greatest_jerk
@@ -18,9 +17,8 @@ from support.planner.limits import joint_limits
 from zarm_contract.errors import InvalidRequest
 from zarm_planner.timing.sampling import load
 from zarm_planner.timing.time_parameterization import time_path
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 DT = 0.01
 LIMITS = joint_limits(np.array([2.0, 1.0, 3.0]), np.array([1.0, 2.0, 5.0]), np.array([500.0, 100.0, 50.0]))

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from support.planner.second_opinion import link_pose
 from zarm_contract.errors import InvalidRequest, PlanningFailed
@@ -33,9 +32,8 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.registry import choose
 from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-
-Array = NDArray[np.float64]
 
 MODELS = {name: RobotModel.of(load_robot(name)) for name in ("doosan_m1013", "ur5e", "panda")}
 M1013 = MODELS["doosan_m1013"]

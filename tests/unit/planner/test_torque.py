@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 import pytest
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest, PlanningFailed
 from zarm_contract.messages import (
@@ -36,10 +35,9 @@ from zarm_planner.scene.store import SceneStore
 from zarm_planner.timing.sampling import TOLERANCE, load
 from zarm_planner.timing.smoothing import smooth_path
 from zarm_planner.timing.torque import TooFast, within_torque
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 PANDA = load_robot("panda")
 MODEL = RobotModel.of(PANDA)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from support.examples import examples
 from support.planner.small_arm import small_arm
@@ -22,8 +21,6 @@ from zarm_planner.timing.time_parameterization import time_path
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 START = np.array([0.0, 0.3, 0.4, 0.1])
 GOAL = START + (0.8, 0.2, -0.3, 0.05)

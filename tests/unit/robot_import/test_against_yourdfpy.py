@@ -14,16 +14,15 @@ import pytest
 import yourdfpy
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from support.examples import examples
 from zarm_contract.errors import InvalidRequest
 from zarm_robot_import.description import Description, describe
 from zarm_robot_import.source import read_source
+from zarm_trajectory.arrays import Array
 
 pytestmark = pytest.mark.lengthy
 
-Array = NDArray[np.float64]
 
 ROBOTS = Path(site.getsitepackages()[0]) / "cmeel.prefix" / "share" / "example-robot-data" / "robots"
 FILES = sorted(ROBOTS.rglob("*.urdf"))

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.robot import load_robot
 from zarm_geometry.robot_model import RobotModel
 from zarm_robot_import.calibration import compare, parse
+from zarm_trajectory.arrays import Array
 
-Array = NDArray[np.float64]
 ROBOT = load_robot("ur5e")
 MODEL = RobotModel.of(ROBOT)
 JOINTS = np.random.default_rng(0).uniform(-2.0, 2.0, (4, 6))

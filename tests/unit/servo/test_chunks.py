@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from support.examples import examples
@@ -31,9 +30,9 @@ from zarm_servo.tracking.controller import Controller, Limitation, Surroundings
 from zarm_servo.tracking.grip_follower import GripFollower
 from zarm_servo.tracking.session import soft
 from zarm_servo.tracking.targets import JointTarget
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 
-Array = NDArray[np.float64]
 Motion = Callable[[float], Array]
 
 MODEL = RobotModel.of(load_robot("ur5e"))

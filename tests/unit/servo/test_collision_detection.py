@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from zarm_contract.messages import (
     Attached,
@@ -21,8 +20,7 @@ from zarm_contract.robot import RobotDescription, load_robot
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.guarding.collision_detection import CollisionDetection
 from zarm_servo.world.scene_monitor import SceneMonitor
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 UR5E = load_robot("ur5e")
 MODEL = RobotModel.of(UR5E)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from support.examples import examples
 from support.tiers import sampled
@@ -21,9 +20,8 @@ from zarm_geometry.world import World
 from zarm_servo.kernels.step import PERIOD
 from zarm_servo.tracking.controller import STALE, Controller, Step
 from zarm_servo.tracking.targets import JointSpeedTarget, JointTarget, PoseTarget, Target, TwistTarget
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-
-Array = NDArray[np.float64]
 
 MARGIN = 0.01
 PRECISION = 1e-4

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from zarm_contract.robot import load_robot
 from zarm_servo.tracking.joint_stream import JointStream
 from zarm_servo.tracking.targets import JointTarget
+from zarm_trajectory.arrays import Array
 
 ROBOT = load_robot("ur5e")
 HOME = np.array(ROBOT.descriptor.home)
-Array = NDArray[np.float64]
 
 
 def told(positions: Array, rate: float) -> JointTarget:

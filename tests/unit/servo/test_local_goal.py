@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from zarm_contract.errors import DeadlineExceeded, PlanningFailed
 from zarm_contract.robot import load_robot
@@ -17,8 +16,8 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_servo.tracking.global_plan import GlobalPlan
 from zarm_servo.tracking.local_goal import LocalGoal
 from zarm_servo.tracking.targets import JointTarget, PoseTarget, Target, TwistTarget
+from zarm_trajectory.arrays import Array
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 MODEL = RobotModel.of(load_robot("doosan_m1013"))

@@ -13,10 +13,10 @@ from support.examples import examples
 from support.executor.waves import chunk
 from support.trajectories import HOME, RATE_LIMITS, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, InvalidRequest
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.blending import PAST, blended
 from zarm_trajectory.follower import TICK, Follower
 from zarm_trajectory.limits import LIMIT_TOLERANCE, Limits
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 JOINTS = ROBOT.descriptor.joints

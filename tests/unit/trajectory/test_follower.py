@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from support.examples import examples
 from support.trajectories import HOME, RATE_LIMITS, ROBOT, curved_path, moved, rest_to_rest, trapezoid
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.follower import CATCH_UP, TICK, Follower
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 

@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from zarm_geometry.kernels.compiled import inlined
 from zarm_geometry.kernels.simd import LANES, pointer
+from zarm_trajectory.arrays import Bits, Index, Single
 
-Single = NDArray[np.float32]
-Index = NDArray[np.int32]
-Bits = NDArray[np.uint64]
 Pointer = Any
 """Pointer to the first element of an array; exists only inside kernels."""
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import SHAPE, Pointer, Single
+from zarm_geometry.kernels.arrays import SHAPE, Pointer
 from zarm_geometry.kernels.clearance_search import OTHERS, OWN, ClearanceSearch, Obstacles, RobotParts, push
 from zarm_geometry.kernels.collision import in_box, squared_distance
 from zarm_geometry.kernels.compiled import inlined
@@ -30,8 +30,7 @@ from zarm_geometry.kernels.simd import (
     store,
     where_positive,
 )
-
-Index = NDArray[np.int32]
+from zarm_trajectory.arrays import Index, Single
 
 FEW = 32
 """Motions of fewer samples are not worth a broad phase."""

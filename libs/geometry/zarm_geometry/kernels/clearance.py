@@ -14,7 +14,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Single
 from zarm_geometry.kernels.broad_phase import FEW, Cover, make_batch, push_near
 from zarm_geometry.kernels.clearance_search import (
     COUNT,
@@ -29,8 +28,8 @@ from zarm_geometry.kernels.clearance_search import (
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.convex import PRECISION, Extents, Turn, Vector, core_distance, core_gap, turned, turned_back
 from zarm_geometry.kernels.simd import lowest_bit
+from zarm_trajectory.arrays import Array, Single
 
-Array = NDArray[np.float64]
 Stretch = tuple[int, int, int, int]
 """An interval of a motion: its first, middle and last sample, and the slot of the middle one in the course."""
 Kept = tuple[float, float]

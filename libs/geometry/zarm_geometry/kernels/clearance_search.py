@@ -7,12 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import DEEPEST, Bits
+from zarm_geometry.kernels.arrays import DEEPEST
 from zarm_geometry.kernels.compiled import brief, inlined
 from zarm_geometry.kernels.kinematics import joint_frames
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int32]
+from zarm_trajectory.arrays import Array, Bits, Index
 
 COUNT, OWN, OTHERS, FIRST = 0, 1, 2, 3
 """Columns of `RobotParts.paths`."""

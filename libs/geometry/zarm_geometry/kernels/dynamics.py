@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.convex import Turn, Vector, turned, turned_back
 from zarm_geometry.kernels.kinematics import joint_frames
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int32]
+from zarm_trajectory.arrays import Array, Index
 
 GRAVITY = 9.81
 """m/s², along -z of the base."""

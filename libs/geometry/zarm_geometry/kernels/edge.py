@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import math
 
-from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, Space, WorldArrays, space
 from zarm_geometry.kernels.collision import RESOLUTION, check
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.simd import LANES, Mask, load, splat, store
+from zarm_trajectory.arrays import Single
 
 
 @inlined

@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from zarm_geometry.kernels.arrays import Bits, Pointer
+from zarm_geometry.kernels.arrays import Pointer
 from zarm_geometry.kernels.clearance_search import COUNT, FIRST, Obstacles
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.convex import Extents, Vector, core_gap, core_point, core_reach, turned, turned_back
@@ -30,6 +30,7 @@ from zarm_geometry.kernels.motion import (
     turn_of,
     view_of,
 )
+from zarm_trajectory.arrays import Bits
 
 Box = tuple[float, float, float, float, float, float]
 """An axis-aligned box: its lower and its upper corner."""

@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_geometry.kernels.compiled import brief, inlined
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int32]
+from zarm_trajectory.arrays import Array, Index
 
 
 @inlined

@@ -7,14 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Bits, Index, Pointer
+from zarm_geometry.kernels.arrays import Pointer
 from zarm_geometry.kernels.clearance_search import FIRST, Obstacles, RobotParts
 from zarm_geometry.kernels.compiled import brief, inlined
 from zarm_geometry.kernels.convex import Extents, Turn, turned
 from zarm_geometry.kernels.kinematics import joint_frames
 from zarm_geometry.kernels.simd import pointer
+from zarm_trajectory.arrays import Array, Bits, Index
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.uint8]
 
 POSE = 12

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from zarm_geometry.kernels.arrays import Bits, Pointer
+from zarm_geometry.kernels.arrays import Pointer
 from zarm_geometry.kernels.clearance_search import COUNT, FIRST, OWN, Obstacles
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.convex import Extents, Turn, Vector, core_gap, separation, turned, turned_back
@@ -23,8 +20,7 @@ from zarm_geometry.kernels.motion import (
     turn_of,
     view_of,
 )
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array, Bits
 
 GRADIENT = 3
 """The column in which the gradient starts in a row of `near`."""

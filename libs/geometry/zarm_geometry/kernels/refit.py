@@ -7,12 +7,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Index
 from zarm_geometry.kernels.compiled import inlined, kernel
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array, Index
 
 
 @inlined

@@ -7,14 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Bits
 from zarm_geometry.kernels.clearance_search import Obstacles
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.first_contact import first_contact
 from zarm_geometry.kernels.motion import MotionBody, Movers, Solids, motion
 from zarm_geometry.kernels.nearby import GRADIENT, near
+from zarm_trajectory.arrays import Array, Bits
 
-Array = NDArray[np.float64]
 Owner = NDArray[np.intp]
 
 KEPT_MARGIN = GRADIENT

@@ -9,8 +9,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Single
 from zarm_geometry.kernels.compiled import inlined
+from zarm_trajectory.arrays import Single
 
 
 @inlined

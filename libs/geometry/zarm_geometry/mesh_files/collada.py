@@ -13,13 +13,10 @@ from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_geometry.mesh_files.mesh_file import MeshFile, Unreadable, accounted, many
 from zarm_geometry.mesh_files.polygons import fan, strip, triangulated, with_holes
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from zarm_trajectory.arrays import Array, Indices
 
 MOST_INSTANCES = 100_000
 """Most nodes and geometries that a scene may place: nodes placed again and again would grow without end."""

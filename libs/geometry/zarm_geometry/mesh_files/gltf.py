@@ -15,13 +15,10 @@ from typing import Any
 from urllib.parse import unquote_to_bytes
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_geometry.mesh_files.mesh_file import MeshFile, Unreadable, accounted, many
 from zarm_geometry.mesh_files.polygons import fan, strip
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from zarm_trajectory.arrays import Array
 
 _MAGIC = b"glTF"
 _NUMBERS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

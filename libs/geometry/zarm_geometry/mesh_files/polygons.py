@@ -7,12 +7,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_geometry.mesh_files.mesh_file import Unreadable
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from zarm_trajectory.arrays import Array, Indices
 
 MOST_CORNERS = 2000
 """Most corners of a polygon that is not convex: cutting it takes time with the square of their number."""

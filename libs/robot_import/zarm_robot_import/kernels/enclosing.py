@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_robot_import.kernels.middles import middles
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 THINNEST = 5e-4
 """Minimum half thickness (m) of a primitive ..."""

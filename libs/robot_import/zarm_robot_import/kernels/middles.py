@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_geometry.kernels.compiled import kernel
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _STEPS = 14
 

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from zarm_geometry.kernels.compiled import kernel
 from zarm_geometry.kernels.convex import core_distance, turned
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 @kernel

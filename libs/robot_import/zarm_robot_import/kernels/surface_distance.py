@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.convex import Vector
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 @kernel

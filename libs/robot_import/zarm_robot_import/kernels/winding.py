@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_geometry.kernels.compiled import kernel
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _BLOCK = 64
 """Points for which the loop over the triangles runs once, so that they are computed several at a time (SIMD)."""

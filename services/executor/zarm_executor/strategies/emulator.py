@@ -13,9 +13,9 @@ from zarm_contract.messages import JointState
 from zarm_executor.loop import Loop
 from zarm_executor.strategies.base import Measured, Progress, Steerable
 from zarm_runtime.state_file import StateFile
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.follower import Follower
 from zarm_trajectory.path_state import PathState
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 

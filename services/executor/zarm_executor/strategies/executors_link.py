@@ -16,7 +16,7 @@ from zarm_executor.clocks import time_of_day
 from zarm_executor.strategies.base import Measured
 from zarm_executor.strategies.robot_link import RobotLink
 from zarm_runtime.bus import Bus
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 _LEAD = 0.05

@@ -11,7 +11,7 @@ import numpy as np
 
 from zarm_executor.strategies.driver_link import DriverLink
 from zarm_executor.strategies.streaming import Streaming
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.retimed import RetimedTrajectory
 from zarm_trajectory.trajectory import TimedTrajectory
 

@@ -6,8 +6,8 @@ from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
 
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.follower import Follower
-from zarm_trajectory.quintic import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from zarm_contract.descriptor import CommandTiming, RobotDescriptor
 from zarm_executor.strategies.base import Measured
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.rate_bounds import RateLimits
 
 _STILL = 5e-4

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from zarm_geometry.kernels.compiled import kernel
 from zarm_geometry.kernels.convex import core_distance
+from zarm_trajectory.arrays import Array
 
-Array = NDArray[np.float64]
 Depth = NDArray[np.float32]
 Mask = NDArray[np.uint8]
 

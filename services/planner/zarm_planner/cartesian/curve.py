@@ -9,16 +9,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import ArcGoal, CartesianGoal, LineGoal, PathGoal, PathPoint, Quaternion
 from zarm_geometry.frames import rotated_by, rotation
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.signedinteger]
+from zarm_trajectory.arrays import Array, Indices
 
 _SAME = 1e-6
 """m and rad: points that are nearer to each other than this are one."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import PlanningFailed
 from zarm_geometry.collision import is_free
@@ -18,8 +17,7 @@ from zarm_planner.kernels.pose_region import Regions
 from zarm_planner.kernels.tool_path import Breadth, follow, nearest_at, straighten
 from zarm_planner.kinematics.ik import NOTHING
 from zarm_planner.scene.planning_scene import PlanningScene
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _JUMP = 0.5
 """Rad between two stations, some 10 mm apart: what moves further is a jump, or so near a singularity that it is one."""

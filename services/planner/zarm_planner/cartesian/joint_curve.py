@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from zarm_planner.cartesian.curve import ToolCurve
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 PROGRESS = 3
 """Columns that a motion along a curve has besides the joints: the curve's parameter, the tip's way (m), its turn (rad)."""

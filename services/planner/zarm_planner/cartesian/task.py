@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.messages import CartesianGoal, PoseTolerance
 from zarm_geometry.frames import pose_of
@@ -17,8 +16,7 @@ from zarm_planner.cartesian.joint_curve import JointCurve
 from zarm_planner.kernels.pose_region import COMPONENTS
 from zarm_planner.kernels.tool_path import deviations_along
 from zarm_planner.kinematics.pose_region import PoseRegion, tip_frame
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _FULL = 6
 """Joints, besides the last, beyond which an arm is redundant."""

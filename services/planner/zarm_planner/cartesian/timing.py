@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from zarm_contract.messages import ToolMotion
@@ -16,10 +15,9 @@ from zarm_planner.cartesian.joint_curve import PROGRESS, JointCurve, JointSectio
 from zarm_planner.kernels.quintic import segment_loads
 from zarm_planner.timing.sampling import TOLERANCE, load, within
 from zarm_planner.timing.time_parameterization import fastest_along, joined
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 _SAMPLING = 0.01
 """Longest interval (s) between samples."""

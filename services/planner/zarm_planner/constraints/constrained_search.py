@@ -14,8 +14,7 @@ from zarm_planner.kernels import constrained as kernel
 from zarm_planner.kernels.manifold import ConstraintArrays
 from zarm_planner.kernels.trees import make_trees
 from zarm_planner.search.rrt_connect import ENDLESS, sampling_range
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _INSIDE = 0.01
 """Rad or m: a path keeps this far from the joint limits, because the curve through it overshoots where a joint comes to

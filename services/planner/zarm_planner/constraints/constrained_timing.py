@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.deadline import Deadline
 from zarm_planner.timing.time_parameterization import through, time_curve
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 _SPACING = 0.1
 """Initial spacing (rad) of the points that define the curve."""

@@ -6,15 +6,14 @@ from dataclasses import dataclass
 from typing import Self, TypeGuard
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from zarm_contract.messages import POSE_COMPONENTS, PathConstraint
 from zarm_geometry.joint_tree import Place
 from zarm_geometry.robot_model import RobotModel
 from zarm_planner.kernels.manifold import ConstraintArrays, deviations, project_all
 from zarm_planner.kinematics.ik import chain_of
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 def constrains(message: PathConstraint | None) -> TypeGuard[PathConstraint]:

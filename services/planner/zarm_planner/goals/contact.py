@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_geometry.exact import RESOLUTION, ExactScene
 from zarm_geometry.kernels.motion import NO_MOVERS, motion
@@ -12,8 +11,7 @@ from zarm_geometry.working_memory import working_memory
 from zarm_planner.context import PlanningContext
 from zarm_planner.kernels import contact
 from zarm_planner.kinematics.ik import chain_of
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _ENOUGH_CLEARANCE = 0.005
 """Clearance (m) that is enough for a goal."""

@@ -12,7 +12,6 @@ from functools import partial
 from typing import Literal, NamedTuple, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest, PlanningFailed, ZarmError
 from zarm_contract.messages import Goal, JointGoal, Pose, PoseDeviation, PoseGoal, WaypointsGoal
@@ -26,9 +25,8 @@ from zarm_planner.goals.joints import within_range
 from zarm_planner.kernels.inverse import DISTINCT
 from zarm_planner.kinematics.ik import IkResult, solve_ik
 from zarm_planner.kinematics.pose_region import PoseRegion
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.turns import TURN, whole_turns
-
-Array = NDArray[np.float64]
 
 _GOALS = 16
 """Most solutions considered for a pose."""

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest, PlanningFailed
 from zarm_contract.messages import GroupGoal, GroupsGoal, PoseGoal
@@ -19,8 +18,7 @@ from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.ends import End, blocked_goal, broken_goal, goal_ends, rest_end
 from zarm_planner.scene.planning_scene import PlanningScene
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _MOST = 16
 """Most configurations considered for a goal of several groups."""

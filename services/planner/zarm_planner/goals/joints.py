@@ -10,7 +10,7 @@ from zarm_contract.errors import ExecutionRefused, InvalidRequest
 from zarm_contract.messages import JointState
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.bus import Latest
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 
 MEASURED_AGE = 0.5
 """Seconds after which a measured state is too old to plan from."""

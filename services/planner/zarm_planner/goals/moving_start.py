@@ -9,7 +9,6 @@ from functools import partial
 from itertools import chain, product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest, PlanningFailed
 from zarm_contract.messages import StartState
@@ -20,9 +19,8 @@ from zarm_planner.goals.joints import checked
 from zarm_planner.timing.lead_in import LeadIn, ways_to_rest
 from zarm_planner.timing.smoothing import brake_to_rest
 from zarm_planner.verification.verify import LOAD, RANGE, VerificationFailed, verify
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-
-Array = NDArray[np.float64]
 
 _SHARES = (1.0, 0.98)
 """Shares of the acceleration limits tried for braking. Knots closer to each other than `sampling.CLOSE` are merged, which

@@ -7,7 +7,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import CartesianGoal, Goal, GroupsGoal, JointGoal, PoseGoal, WaypointsGoal
@@ -18,8 +17,7 @@ from zarm_planner.goals.ends import End, check_start, goal_ends, start_end
 from zarm_planner.goals.group_ends import group_ends
 from zarm_planner.goals.moving_start import moving_start
 from zarm_planner.timing.lead_in import LeadIn
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from zarm_planner.planners.base import Planner
 from zarm_planner.planners.registry import PLANNERS
 from zarm_planner.scene.store import SceneStore
 from zarm_planner.warm_up import warm_up
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 
 log = logging.getLogger(__name__)
 

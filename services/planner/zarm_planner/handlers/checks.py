@@ -23,7 +23,7 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.goals.joints import checked
 from zarm_planner.handlers.state import BATCH_TIMEOUT, PlannerState
 from zarm_runtime.requester import requester
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 
 
 class CheckHandlers:

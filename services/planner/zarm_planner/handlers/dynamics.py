@@ -9,7 +9,7 @@ import numpy as np
 from zarm_contract.messages import InverseDynamics, InverseDynamicsRequest
 from zarm_planner.goals.joints import checked
 from zarm_planner.handlers.state import PlannerState
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 
 
 class DynamicsHandlers:

@@ -17,7 +17,7 @@ from zarm_planner.handlers.state import BATCH_TIMEOUT, PlannerState
 from zarm_planner.kinematics.batches import batch_fk, batch_ik, batch_regions
 from zarm_planner.kinematics.pose_region import PoseRegion, tip_frame
 from zarm_runtime.requester import requester
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.turns import whole_turns
 
 

@@ -38,7 +38,7 @@ from zarm_planner.program_stage import ProgramStage
 from zarm_planner.programs import ChangeAt, PlannedProgram, of_only_segment, plan_program, with_ways
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_runtime.requester import requester
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.turns import whole_turns
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import Busy, InvalidRequest
 from zarm_contract.messages import (
@@ -23,8 +22,7 @@ from zarm_planner.goals.joints import checked
 from zarm_planner.handlers.state import PlannerState
 from zarm_planner.scene.attached_objects import carrier, check_attach, check_links
 from zarm_planner.scene.tools import at_tool, refuse_shapes
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 class SceneHandlers:

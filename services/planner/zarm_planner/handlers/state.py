@@ -21,8 +21,8 @@ from zarm_planner.scene.map_health import STALE_SCALE, MapHealth
 from zarm_planner.scene.scene_cache import SceneCache
 from zarm_planner.scene.store import SceneStore
 from zarm_planner.scheduler import Scheduler
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.quintic import Array
 
 log = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, Space, WorldArrays, space
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.edge import edge_free
 from zarm_geometry.kernels.vectors import apart, copy
@@ -20,6 +20,7 @@ from zarm_planner.kernels.clock import passed
 from zarm_planner.kernels.manifold import ConstraintArrays, Workspace, advance, make_workspace, project
 from zarm_planner.kernels.random import uniform
 from zarm_planner.kernels.trees import CAPACITY, Trees, add, nearest_node, path_through, read
+from zarm_trajectory.arrays import Single
 
 EXTENSION = 1.0
 """Distance (rad, Euclidean) after which a tree stops growing towards a sample."""

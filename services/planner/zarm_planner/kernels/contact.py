@@ -14,16 +14,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Bits, Memory, RobotArrays, WorldArrays, space
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, WorldArrays, space
 from zarm_geometry.kernels.clearance_search import Obstacles
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.edge import edge_free
-from zarm_geometry.kernels.kinematics import Array
 from zarm_geometry.kernels.motion import Motion, MotionBody, Movers, Solids
 from zarm_geometry.kernels.nearby import GRADIENT, near
 from zarm_geometry.kernels.vectors import copy
 from zarm_planner.kernels.clock import passed
 from zarm_planner.kernels.inverse import TOLERANCE, Chain, Work, descend, make_work, tip_jacobian, tip_pose
+from zarm_trajectory.arrays import Array, Bits
 
 WITHIN = 0.05
 """Only objects nearer than this (m) are taken into account."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zarm_geometry.kernels.arrays import Pointer, RobotArrays, Single
+from zarm_geometry.kernels.arrays import Pointer, RobotArrays
 from zarm_geometry.kernels.compiled import inlined
 from zarm_geometry.kernels.placing import FRAME, place_joints
 from zarm_geometry.kernels.simd import (
@@ -23,6 +23,7 @@ from zarm_geometry.kernels.simd import (
     store,
     where_positive,
 )
+from zarm_trajectory.arrays import Single
 
 TURN = 2.0 * math.pi
 LEAST = 1e-6

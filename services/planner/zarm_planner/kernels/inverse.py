@@ -8,15 +8,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, Space, WorldArrays, space
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.edge import edge_free
-from zarm_geometry.kernels.kinematics import Array, Index, joint_frames
+from zarm_geometry.kernels.kinematics import joint_frames
 from zarm_geometry.kernels.simd import LANES
 from zarm_geometry.kernels.vectors import copy
 from zarm_planner.kernels.clock import passed
 from zarm_planner.kernels.descents import descend_once, make_descents
 from zarm_planner.kernels.random import uniform
+from zarm_trajectory.arrays import Array, Index, Single
 
 TURN = 2.0 * math.pi
 TOLERANCE = 1e-6

@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import Memory, RobotArrays, WorldArrays, space
 from zarm_geometry.kernels.compiled import inlined, kernel
-from zarm_planner.kernels.ramps import Array, Ramps, connect_states, in_range, time_between
+from zarm_planner.kernels.ramps import Ramps, connect_states, in_range, time_between
 from zarm_planner.kernels.random import uniform
 from zarm_planner.kernels.smoothing import ramp_free
+from zarm_trajectory.arrays import Array
 
 SHORTEST = 1e-6
 """Shortest duration (s) of a braking ramp."""

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, WorldArrays
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, WorldArrays
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.vectors import copy
 from zarm_planner.kernels.clock import seconds
 from zarm_planner.kernels.rrt_connect import connect
 from zarm_planner.kernels.shortcut import MOST_SHORTCUTS, shortcut
 from zarm_planner.kernels.trees import Trees
+from zarm_trajectory.arrays import Single
 
 # Of the values tried, these gave the shortest motions for the same mean planning time over MotionBenchMaker's scenes. The
 # easy half needs fewer than four paths; a cage, where the first paths may be twice as long as the best, up to all of them.

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from zarm_geometry.kernels.compiled import brief, inlined
-from zarm_planner.kernels.ramps import Array
+from zarm_trajectory.arrays import Array
 
 
 @inlined

@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Single
 from zarm_geometry.kernels.compiled import inlined, kernel
-from zarm_geometry.kernels.kinematics import Array, Index, joint_frames
+from zarm_geometry.kernels.kinematics import joint_frames
 from zarm_geometry.kernels.vectors import apart, copy
 from zarm_planner.kernels.inverse import Chain, Work, make_work, tip_jacobian
+from zarm_trajectory.arrays import Array, Index, Single
 
 CLOSE = 1e-5
 """Largest deviation (m, rad) of a projected configuration. The rest of the tolerance is left for the deviation between

@@ -14,15 +14,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, Space, WorldArrays, space
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.edge import edge_free
-from zarm_geometry.kernels.kinematics import Array, joint_frames
+from zarm_geometry.kernels.kinematics import joint_frames
 from zarm_geometry.kernels.vectors import copy
 from zarm_planner.kernels.clock import passed
 from zarm_planner.kernels.inverse import DAMPING, STALL, TOLERANCE, Chain, bring_near, known
 from zarm_planner.kernels.manifold import frame_pose, rotation_vector
 from zarm_planner.kernels.random import uniform
+from zarm_trajectory.arrays import Array, Single
 
 PATIENCE = 10
 """The search for further solutions ends after this many descents in a row that lead to none that is new and free."""

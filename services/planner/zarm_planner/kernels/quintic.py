@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from zarm_geometry.kernels.compiled import brief, inlined
-from zarm_planner.kernels.ramps import Array
+from zarm_trajectory.arrays import Array
 
 HALVINGS = 24
 """Bisections of an interval that contains an extremum of the velocity. They locate it to 1e-7 of the interval, and so

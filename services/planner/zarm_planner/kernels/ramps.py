@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.compiled import brief, inlined
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _SLACK = 1e-9
 """Tolerance for rounding of times (s), velocities and accelerations."""

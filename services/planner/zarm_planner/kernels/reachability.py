@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from zarm_geometry.kernels.compiled import brief, inlined
-from zarm_planner.kernels.ramps import Array
+from zarm_trajectory.arrays import Array
 
 _STEPS = 40
 """Most steps of Newton's method: each leaves a pair of bounds behind, and two or three are usual."""

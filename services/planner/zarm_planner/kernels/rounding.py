@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from zarm_geometry.kernels.compiled import brief, inlined
-from zarm_planner.kernels.ramps import Array
+from zarm_trajectory.arrays import Array
 
 MOST_DECIMALS = 15
 """Most decimals: beyond them a float has none."""

@@ -13,13 +13,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, WorldArrays, space
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, WorldArrays, space
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.edge import edge_free
 from zarm_geometry.kernels.vectors import between, copy
 from zarm_planner.kernels.clock import passed
 from zarm_planner.kernels.random import uniform
 from zarm_planner.kernels.trees import CAPACITY, Trees, add, nearest_node, path_through, read
+from zarm_trajectory.arrays import Single
 
 # Distances in the metric of the trees (rad, joints weighted to a mean square of 1). Of steps from 0.5 to 5 and domains
 # from 2 to unlimited, these were fastest at the median and at the 95th percentile over MotionBenchMaker's problems.

@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from zarm_geometry.kernels.compiled import brief
-from zarm_planner.kernels.ramps import Array, Ramps
+from zarm_planner.kernels.ramps import Ramps
+from zarm_trajectory.arrays import Array
 
 CLOSE = 1e-4
 """Seconds; samples are further apart than this, so that dividing by the cube of the difference is safe."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, Space, WorldArrays, space
 from zarm_geometry.kernels.compiled import brief, inlined, kernel
 from zarm_geometry.kernels.edge import edge_free
 from zarm_geometry.kernels.vectors import apart, between, copy
 from zarm_planner.kernels.clock import passed
 from zarm_planner.kernels.random import uniform
+from zarm_trajectory.arrays import Single
 
 MOST_SHORTCUTS = 200
 """Maximum number of shortcuts tried."""

@@ -16,8 +16,9 @@ from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.edge import divide, set_motion, subdivide, take
 from zarm_geometry.kernels.simd import LANES, Lanes, larger, load, smaller, splat, store
 from zarm_planner.kernels.clock import passed
-from zarm_planner.kernels.ramps import Array, Ramps, connect_states, in_range, least_time, state, time_between
+from zarm_planner.kernels.ramps import Ramps, connect_states, in_range, least_time, state, time_between
 from zarm_planner.kernels.random import uniform
+from zarm_trajectory.arrays import Array
 
 GAIN = 0.001
 """A shortcut that saves less than this fraction of the piece that it replaces is not checked."""

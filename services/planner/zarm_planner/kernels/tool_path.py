@@ -13,10 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, Space, WorldArrays, space
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.edge import edge_free
-from zarm_geometry.kernels.kinematics import Array
 from zarm_geometry.kernels.vectors import copy
 from zarm_planner.kernels.clock import passed
 from zarm_planner.kernels.inverse import TOLERANCE
@@ -32,6 +31,7 @@ from zarm_planner.kernels.pose_region import (
     time_apart,
 )
 from zarm_planner.kernels.random import uniform
+from zarm_trajectory.arrays import Array, Single
 
 STEPS = 12
 """Maximum number of steps from one station to the next."""

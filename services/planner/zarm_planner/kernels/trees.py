@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zarm_geometry.kernels.arrays import Index, Single
 from zarm_geometry.kernels.compiled import inlined
 from zarm_geometry.kernels.simd import LANES, below, load, pointer, splat, store
+from zarm_trajectory.arrays import Index, Single
 
 CAPACITY = 1 << 15
 """Nodes per tree. A search that fills one restarts, since a linear search over more nodes would cost more than it

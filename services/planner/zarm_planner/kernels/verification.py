@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from zarm_geometry.kernels.compiled import brief, inlined
-from zarm_planner.kernels.ramps import Array
+from zarm_trajectory.arrays import Array
 
 
 @inlined

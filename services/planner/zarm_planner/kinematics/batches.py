@@ -27,11 +27,11 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.inverse import DISTINCT, TOLERANCE, TURN
 from zarm_planner.kinematics.ik import solve_ik, with_turns
 from zarm_planner.kinematics.pose_region import PoseRegion
+from zarm_trajectory.arrays import Array
 
 if TYPE_CHECKING:
     from pytorch_kinematics import SerialChain
 
-Array = NDArray[np.float64]
 
 WORTH_A_GPU = 10_000
 """Number of requested solutions from which `auto` uses a GPU for inverse kinematics.

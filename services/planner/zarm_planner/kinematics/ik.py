@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.working_memory import working_memory
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.inverse import TURN, Chain, solve
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 COLLIDING = 64
 """Colliding solutions after which the search for a free one gives up."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import POSE_COMPONENTS, Pose, PoseDeviation, PoseTolerance, TipFrame
@@ -20,8 +19,7 @@ from zarm_planner.kernels.inverse import TOLERANCE
 from zarm_planner.kernels.manifold import ConstraintArrays
 from zarm_planner.kernels.pose_region import COMPONENTS, Regions, deviations_at, solve_regions
 from zarm_planner.kinematics.ik import COLLIDING, NOTHING, IkResult, chain_of, nearest_first, with_turns
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _COMPONENTS = (*POSE_COMPONENTS, "the distance")
 _ROUNDING = 2e-6

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zarm_contract.errors import InvalidRequest, PlanningFailed
 from zarm_planner.cartesian.curve import ToolCurve
 from zarm_planner.cartesian.following import Following
@@ -16,9 +13,8 @@ from zarm_planner.cartesian.timing import time_along
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.planners.base import Planner
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 _NAME = "cartesian"
 _REFINEMENTS = 6

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import DeadlineExceeded, InvalidRequest
 from zarm_planner.constraints.constrained_search import search_constrained, shortcut_constrained
@@ -19,9 +18,8 @@ from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.planners.base import NAMES, Faster, Planner
 from zarm_planner.planners.route import Route, find_route
 from zarm_planner.timing.improvement import GAIN
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 _LEG_SAMPLES = 1000
 """Samples after which the search between two configurations gives up."""

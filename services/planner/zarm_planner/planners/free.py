@@ -6,9 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zarm_contract.errors import DeadlineExceeded
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
@@ -21,9 +18,8 @@ from zarm_planner.timing.improvement import Improvement
 from zarm_planner.timing.lead_in import LeadIn
 from zarm_planner.timing.smoothing import brake_to_rest, smooth_path
 from zarm_planner.timing.time_parameterization import joined, time_path
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 Timed = Callable[[], TimedTrajectory]
 """Times a route."""

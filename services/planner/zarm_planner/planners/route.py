@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import PlanningFailed
 from zarm_planner.context import PlanningContext
@@ -24,9 +23,8 @@ from zarm_planner.goals.ends import End
 from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.kernels.leg_times import path_time, straight_times
 from zarm_planner.search.disconnection import find_disconnection
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-
-Array = NDArray[np.float64]
 
 _LEGS = 4
 """Pairs of configurations per target between which a path is searched before the best so far is used, plus one for each

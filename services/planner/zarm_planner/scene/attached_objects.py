@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import (
@@ -25,8 +24,7 @@ from zarm_contract.messages import (
 from zarm_geometry.frames import matrix, pose_of
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 def attach(scene: Scene, edit: AttachObject, tip: Array, meshes: Meshes) -> Scene:

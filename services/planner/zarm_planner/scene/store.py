@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, assert_never
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.codec import MAX_BYTES, encode
 from zarm_contract.errors import InvalidRequest, Unavailable
@@ -45,10 +44,10 @@ from zarm_planner.scene.attached_objects import attach, detach, refuse_attached
 from zarm_planner.scene.ignored_collisions import set_links, set_objects, set_pairs, without_gone
 from zarm_planner.scene.tools import Tools, unmount
 from zarm_runtime.state_file import StateFile
+from zarm_trajectory.arrays import Array
 
 log = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
 
 Complete = Callable[[Scene, SingleEdit], tuple[SingleEdit, Array]]
 

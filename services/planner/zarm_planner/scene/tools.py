@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.collision import CollisionCuboid, CollisionCylinder, CollisionPrimitive, CollisionSphere
 from zarm_contract.errors import InvalidRequest, Unavailable
@@ -26,8 +25,6 @@ from zarm_contract.messages import (
 from zarm_contract.robot import RobotDescription
 from zarm_contract.tool import Tool
 from zarm_geometry.frames import matrix, pose_of, rotation_to
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from zarm_geometry.kernels.kinematics import frames
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
+from zarm_trajectory.arrays import Array
 
-Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
 
 _CELLS = (720, 4000, 24000)

@@ -11,8 +11,7 @@ from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.rrt_connect import connect
 from zarm_planner.kernels.trees import make_trees
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 ENDLESS = 2**62
 """More samples than any search reaches."""

@@ -16,8 +16,7 @@ from zarm_planner.kernels import leg
 from zarm_planner.kernels import shortcut as kernel
 from zarm_planner.kernels.trees import make_trees
 from zarm_planner.search.rrt_connect import sampling_range
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 def shortcut(model: RobotModel, world: World, path: Array, *, seed: int, deadline: Deadline) -> Array:

@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 
 from zarm_planner.kernels.averaging import best_window
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 
 DEVIATION = 1e-3
 """Largest deviation (rad) of each joint when passing a via."""

@@ -11,8 +11,8 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.timing.averaging import DEVIATION
 from zarm_planner.timing.lead_in import LeadIn
 from zarm_planner.timing.smoothing import Smoothing
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 GAIN = 0.005

@@ -21,8 +21,8 @@ from zarm_planner.kernels.lead_in import brake
 from zarm_planner.kernels.ramps import Ramps, make_ramps
 from zarm_planner.timing.averaging import DEVIATION, SHORTEST, Averaging
 from zarm_planner.timing.sampling import TOLERANCE
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.quintic import Array
 
 _WAYS = 300
 """Ways to brake that are tried; each that is not free takes some 20 us."""

@@ -9,15 +9,13 @@ where the motion itself changes abruptly, less is allowed there, and again.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_planner.kernels.pace import averaged_pace, tightened, times_at_pace
 from zarm_planner.kernels.reachability import fastest_squares
 from zarm_planner.timing.sampling import sample_times
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 _WINDOW = 8.0
 """The averaging time, in the times in which the joints reach their largest acceleration."""

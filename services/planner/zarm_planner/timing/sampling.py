@@ -8,8 +8,8 @@ from collections.abc import Callable
 from zarm_contract.errors import InvalidRequest
 from zarm_planner.kernels.quintic import peaks
 from zarm_planner.kernels.sampling import subdivided
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 TOLERANCE = 2e-4

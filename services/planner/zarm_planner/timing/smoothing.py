@@ -24,8 +24,8 @@ from zarm_planner.kernels.smoothing import smooth
 from zarm_planner.timing.averaging import DEVIATION, SHORTEST, Averaging, total_ways
 from zarm_planner.timing.lead_in import LeadIn
 from zarm_planner.timing.sampling import TOLERANCE, load, sample_times, within
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 ATTEMPTS = 1500

@@ -23,8 +23,8 @@ from zarm_contract.errors import InvalidRequest
 from zarm_planner.kernels.reachability import fastest_squares
 from zarm_planner.timing.averaging import Averaging, total_ways
 from zarm_planner.timing.sampling import sample_times, within
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 _SAMPLING = 0.01

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from zarm_geometry.dynamics import Dynamics
 from zarm_planner.timing.pace import paced
 from zarm_planner.timing.sampling import TOLERANCE, load
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 _COARSE = 0.025
 """Between two samples that are no further apart (s) a motion is not looked at ..."""

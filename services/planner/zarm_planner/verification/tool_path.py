@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_geometry.exact import RESOLUTION, ExactScene
 from zarm_planner.cartesian.task import ANGLE, DISTANCE, ToolTask
@@ -13,8 +12,6 @@ from zarm_planner.cartesian.timing import Progress
 from zarm_planner.kernels.quintic import followed
 from zarm_planner.verification.verify import VerificationFailed
 from zarm_trajectory.trajectory import TimedTrajectory
-
-Array = NDArray[np.float64]
 
 _ENDS = 1e-6
 """Share of the curve by which a motion may miss its ends."""

@@ -11,8 +11,8 @@ from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.kernels.quintic import followed
 from zarm_planner.kernels.verification import first_missed, furthest_outside
 from zarm_planner.timing.sampling import TOLERANCE, load
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 _POSITION = 1e-6

@@ -8,7 +8,7 @@ import numpy as np
 
 from zarm_geometry.robot_model import RobotModel
 from zarm_planner.verification.verify import VerificationFailed
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 _STEP = 0.001

@@ -7,15 +7,13 @@ from time import time as unix_time
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Trajectory
 from zarm_ros_bridge.convert.fields import finite
 from zarm_ros_bridge.convert.joints import Positions, places_of
 from zarm_ros_bridge.convert.times import NANOSECONDS
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 MOST_POINTS = 100_000
 _LATEST = 60.0

@@ -7,9 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
 from moveit_msgs.msg import MoveItErrorCodes as Val
-from numpy.typing import NDArray
 
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import PathGoal, PathPoint, Plan, PlanRequest, Pose, TipFrame
@@ -26,8 +24,6 @@ from zarm_ros_bridge.moveit.error_codes import Refusal
 from zarm_ros_bridge.moveit.requests import Scales
 from zarm_ros_bridge.moveit.states import start_of
 from zarm_ros_bridge.transforms import between
-
-Array = NDArray[np.float64]
 
 MOST = 1000
 """Most waypoints of a path."""

@@ -16,7 +16,6 @@ import numpy as np
 from geometry_msgs.msg import Point
 from moveit_msgs.msg import CollisionObject
 from moveit_msgs.msg import MoveItErrorCodes as Val
-from numpy.typing import NDArray
 from shape_msgs.msg import Mesh as RosMesh
 from shape_msgs.msg import MeshTriangle, SolidPrimitive
 
@@ -39,8 +38,7 @@ from zarm_ros_bridge.convert.poses import pose_of as ros_pose_of
 from zarm_ros_bridge.convert.poses import ros_pose
 from zarm_ros_bridge.frames import placed
 from zarm_ros_bridge.moveit.error_codes import Refusal
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 SLAB = 20.0, 0.02
 """Edge and thickness (m) of the slab that stands for a plane, below it."""

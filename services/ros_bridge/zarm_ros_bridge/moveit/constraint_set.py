@@ -11,7 +11,6 @@ from typing import Any, Self
 import numpy as np
 from moveit_msgs.msg import MoveItErrorCodes as Val
 from moveit_msgs.msg import OrientationConstraint
-from numpy.typing import NDArray
 from shape_msgs.msg import SolidPrimitive
 
 from zarm_contract.messages import Pose
@@ -22,8 +21,7 @@ from zarm_ros_bridge.convert.poses import pose_of
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
 from zarm_ros_bridge.moveit.error_codes import Refusal
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 FREE = 3.1
 """Tolerance (rad) from which a component of an orientation is free; MoveIt's users write 3.14 or more."""

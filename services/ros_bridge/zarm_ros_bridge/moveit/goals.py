@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 from moveit_msgs.msg import MoveItErrorCodes as Val
-from numpy.typing import NDArray
 
 from zarm_contract.messages import (
     Goal,
@@ -26,8 +25,8 @@ from zarm_geometry.frames import pose_of, rotated_by
 from zarm_ros_bridge.moveit.arm_groups import arm_of
 from zarm_ros_bridge.moveit.constraint_set import FREE, ConstraintSet, Orientation, PointRegion
 from zarm_ros_bridge.moveit.error_codes import Refusal
+from zarm_trajectory.arrays import Array
 
-Array = NDArray[np.float64]
 Bounds = tuple[float | Literal["free"], float | Literal["free"], float | Literal["free"]]
 
 EXACT_DISTANCE, EXACT_ANGLE = 0.002, 0.01

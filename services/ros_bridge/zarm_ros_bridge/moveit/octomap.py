@@ -17,8 +17,8 @@ from zarm_contract.messages import MAX_CELLS, Voxels
 from zarm_geometry.frames import matrix, pose_of
 from zarm_ros_bridge.convert.poses import pose_of as ros_pose_of
 from zarm_ros_bridge.moveit.error_codes import Refusal
+from zarm_trajectory.arrays import Array
 
-Array = NDArray[np.float64]
 Keys = NDArray[np.int64]
 
 FINEST, COARSEST = 0.002, 1.0

@@ -16,7 +16,6 @@ from moveit_msgs.msg import (
     PlanningScene,
     PlanningSceneComponents,
 )
-from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA
 
 from zarm_contract.descriptor import RobotDescriptor
@@ -29,8 +28,8 @@ from zarm_ros_bridge.frames import placed
 from zarm_ros_bridge.moveit.collision_objects import collision_object, id_of
 from zarm_ros_bridge.moveit.octomap import OCTOMAP, OCTOMAP_NS, octomap
 from zarm_ros_bridge.moveit.states import Positions, robot_state
+from zarm_trajectory.arrays import Array
 
-Array = NDArray[np.float64]
 C = PlanningSceneComponents
 ALL = 1023
 """Every component of a planning scene."""

@@ -11,7 +11,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import numpy as np
 from moveit_msgs.msg import (
     AttachedCollisionObject,
     CollisionObject,
@@ -20,7 +19,6 @@ from moveit_msgs.msg import (
 )
 from moveit_msgs.msg import MoveItErrorCodes as Val
 from moveit_msgs.srv import ApplyPlanningScene, GetPlanningScene, LoadGeometryFromFile, SaveGeometryToFile
-from numpy.typing import NDArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.qos import QoSProfile
 from std_srvs.srv import Empty
@@ -40,10 +38,10 @@ from zarm_ros_bridge.moveit.planning_scene import ALL, PlanningSceneMessages
 from zarm_ros_bridge.moveit.scene_draft import SceneDraft
 from zarm_ros_bridge.moveit.scene_text import objects_of, text_of
 from zarm_ros_bridge.ros import Ros
+from zarm_trajectory.arrays import Array
 
 log = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
 EDITS = QoSProfile(depth=100)
 STATE_PERIOD = 0.25
 """How often (s) the state of the robot is published in the scene while it moves, as MoveIt does by default."""

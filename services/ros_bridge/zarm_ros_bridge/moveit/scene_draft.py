@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from moveit_msgs.msg import CollisionObject
 from moveit_msgs.msg import MoveItErrorCodes as Val
-from numpy.typing import NDArray
 
 from zarm_contract.messages import (
     VOXEL_MAP,
@@ -37,8 +36,7 @@ from zarm_ros_bridge.moveit.collision_objects import moved, name_of, origin_of, 
 from zarm_ros_bridge.moveit.error_codes import Refusal
 from zarm_ros_bridge.moveit.octomap import OCTOMAP, OCTOMAP_NS
 from zarm_ros_bridge.moveit.planning_scene import allowed_by, grouped
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 
 class SceneDraft:

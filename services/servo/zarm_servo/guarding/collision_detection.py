@@ -9,16 +9,15 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_contract.messages import Attached, CollisionDetectionState, ExecutorState, ExternalTorque, JointState
 from zarm_geometry.dynamics import Dynamics
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.world.scene_monitor import SceneMonitor
+from zarm_trajectory.arrays import Array
 
 log = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
 
 _SPAN = 0.02
 """Time (s) over which efforts are compared with the change of momentum: less is noise, more is late."""

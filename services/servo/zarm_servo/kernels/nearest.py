@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zarm_geometry.kernels.compiled import brief
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 _FINENESS = 0.001
 """Interval (s) between the times that are compared."""

@@ -6,14 +6,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zarm_geometry.kernels.compiled import brief, inlined, kernel
 from zarm_geometry.kernels.situation import GRADIENT_THERE, KEPT_MARGIN, SituationArrays, contact
 from zarm_servo.kernels.projection import FLAT, projected
 from zarm_servo.kernels.speed_change import phases, sampled
-
-Array = NDArray[np.float64]
+from zarm_trajectory.arrays import Array
 
 PERIOD = 0.004
 """Seconds from one step to the next."""

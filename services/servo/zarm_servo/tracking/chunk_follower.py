@@ -7,8 +7,8 @@ import numpy as np
 from zarm_servo.kernels.step import PERIOD
 from zarm_servo.tracking.receding_horizon import INTERVAL, LONGEST, nearest_motion
 from zarm_servo.tracking.reference import Reference
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.quintic import Array
 
 _STEPS = round(INTERVAL / PERIOD)
 

@@ -12,8 +12,8 @@ from zarm_contract.messages import Clipped, JointPoints, ServoChunk
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.tracking.pose_points import joints_of
 from zarm_servo.tracking.reference import Reference, clipped, smooth
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_trajectory.turns import whole_turns
 

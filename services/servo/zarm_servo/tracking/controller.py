@@ -33,8 +33,8 @@ from zarm_servo.kernels.step import (
 from zarm_servo.tracking.jog_line import JogLine
 from zarm_servo.tracking.speed_change import SpeedChange
 from zarm_servo.tracking.targets import Target, TwistTarget, wish
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.quintic import Array
 
 STALE = 0.1
 """A target older than this (s) no longer counts: the robot brakes."""

@@ -11,7 +11,7 @@ from zarm_contract.errors import DeadlineExceeded, PlanningFailed, ZarmError
 from zarm_contract.messages import JointGoal, Plan, PlanRequest, Pose, PoseGoal
 from zarm_geometry.frames import pose_of
 from zarm_servo.tracking.targets import JointTarget, PoseTarget
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 PlanFor = Callable[[PlanRequest, float], Plan]

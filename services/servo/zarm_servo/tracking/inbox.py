@@ -15,7 +15,7 @@ from zarm_servo.refusal import Refusal
 from zarm_servo.tracking.controller import STALE
 from zarm_servo.tracking.joint_stream import JointStream
 from zarm_servo.tracking.targets import JointSpeedTarget, JointTarget, PoseTarget, Target, TwistTarget
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 
 _DRIFT = 1e-3
 """Two clocks drift by less than this (s per s): NTP slews by 0.5e-3 at most."""

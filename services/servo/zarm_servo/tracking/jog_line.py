@@ -8,7 +8,7 @@ import numpy as np
 
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.tracking.targets import GAIN, TwistTarget, moved, rotation_vector
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 
 _PARALLEL = 0.9999
 """Cosine of two twists with one direction: within 0.8 deg."""

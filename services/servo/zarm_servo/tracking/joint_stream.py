@@ -8,7 +8,7 @@ import numpy as np
 
 from zarm_contract.robot import RobotDescription
 from zarm_servo.tracking.targets import JointTarget
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 
 _WINDOW = 0.12
 """Positions of the last so many s count."""

@@ -13,7 +13,7 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_servo.kernels.step import PERIOD
 from zarm_servo.tracking.global_plan import TIMEOUT, GlobalPlan
 from zarm_servo.tracking.targets import JointTarget, PoseTarget, Target, rotation_vector
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 
 Find = Callable[[PoseTarget | JointTarget, Array, float, float], GlobalPlan]
 """Finds a plan to a target from a position (J,) that is the given distance (m) away from it, within a time limit (s).

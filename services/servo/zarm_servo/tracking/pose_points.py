@@ -11,7 +11,7 @@ from zarm_contract.messages import Pose
 from zarm_geometry.frames import matrix
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.tracking.targets import PoseTarget
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 
 POSITION, ANGLE = 1e-4, 1e-3
 """A tip this close (m, rad) to a pose is there."""

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import daqp
 import numpy as np
 
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.quintic import Array
 
 INTERVAL = 0.024
 """The jerk is constant over this time (s)."""

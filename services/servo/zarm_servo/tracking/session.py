@@ -43,8 +43,8 @@ from zarm_servo.tracking.streamed_trajectory import StreamedTrajectory
 from zarm_servo.tracking.targets import JointTarget, PoseTarget, Target
 from zarm_servo.world.check import SceneCheck
 from zarm_servo.world.world_monitor import WorldMonitor
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)

@@ -18,7 +18,7 @@ from zarm_servo.tracking.controller import Surroundings
 from zarm_servo.world.check import SceneCheck
 from zarm_servo.world.moving_objects import MovingObjects
 from zarm_servo.world.scene_monitor import SceneMonitor
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 
 log = logging.getLogger(__name__)
 

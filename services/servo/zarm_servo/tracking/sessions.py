@@ -25,7 +25,7 @@ from zarm_contract.messages import (
     ServoTarget,
 )
 from zarm_servo.tracking.session import Session, SessionConfig
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 
 log = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 
 from zarm_servo.kernels.speed_change import phases, sampled
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 
 
 class SpeedChange:

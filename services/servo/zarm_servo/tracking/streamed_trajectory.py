@@ -7,7 +7,7 @@ import numpy as np
 from zarm_servo.kernels.step import PERIOD
 from zarm_servo.tracking.controller import Step
 from zarm_servo.tracking.speed_change import SpeedChange
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 REST = 0.5

@@ -10,7 +10,7 @@ import numpy as np
 
 from zarm_contract.messages import PoseTolerance
 from zarm_geometry.robot_model import RobotModel
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.turns import whole_turns
 
 GAIN = 8.0

@@ -19,7 +19,7 @@ from zarm_geometry.situation import MotionVerdict, MovingObject
 from zarm_geometry.world import World
 from zarm_servo.world.moving_objects import Mover
 from zarm_servo.world.scene_monitor import SceneSnapshot
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 CONTACT = 0.002
