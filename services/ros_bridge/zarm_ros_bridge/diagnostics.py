@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from types import TracebackType
 from typing import Self
@@ -14,6 +13,7 @@ from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.holds import waiting
 from zarm_ros_bridge.ros import Ros
+from zarm_runtime.worker import Worker
 
 DEPTH = 10
 PERIOD = 1.0
@@ -33,40 +33,39 @@ class Diagnostics:
         self._engine = engine
         self._publisher = ros.node.create_publisher(DiagnosticArray, "/diagnostics", DEPTH)
         self._state: ExecutorState | None = None
-        self._changed = threading.Event()
-        self._ended = False
-        self._thread = threading.Thread(target=self._run, name="diagnostics")
+        self._reported: DiagnosticStatus | None = None
+        self._reported_at = 0.0
+        self._worker = Worker("diagnostics", self._report, PERIOD)
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        self._worker.start()
         self._engine.bus.watch(self._engine.keys.executor_state, self._on_state)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._ended = True
-        self._changed.set()
-        self._thread.join()
+        self._worker.stop()
 
     def _on_state(self, _key: str, state: ExecutorState) -> None:
         self._state = state
-        self._changed.set()
+        self._worker.wake()
 
-    def _run(self) -> None:
-        reported, reported_at = None, 0.0
-        executor = self._engine.keys.alive("executor", "*")
-        while not self._ended:
-            state = self._state
-            if state is not None:
-                status, now = self._status(state), time.monotonic()
-                if status != reported or (now - reported_at >= PERIOD and self._engine.bus.alive(executor)):
-                    reported, reported_at = status, now
-                    message = DiagnosticArray(status=[status])
-                    message.header.stamp = ros_time(time.time())
-                    self._publisher.publish(message)
-            self._changed.wait(_POLL_PERIOD if state is not None and state.goal_id is not None else PERIOD)
-            self._changed.clear()
+    def _report(self) -> float:
+        """Publish if there is something to say; the time (s) until it is looked again."""
+        state = self._state
+        if state is None:
+            return PERIOD
+        status, now = self._status(state), time.monotonic()
+        if status != self._reported or (now - self._reported_at >= PERIOD and self._executor_lives()):
+            self._reported, self._reported_at = status, now
+            message = DiagnosticArray(status=[status])
+            message.header.stamp = ros_time(time.time())
+            self._publisher.publish(message)
+        return _POLL_PERIOD if state.goal_id is not None else PERIOD
+
+    def _executor_lives(self) -> bool:
+        return bool(self._engine.bus.alive(self._engine.keys.alive("executor", "*")))
 
     def _status(self, state: ExecutorState) -> DiagnosticStatus:
         engine = self._engine

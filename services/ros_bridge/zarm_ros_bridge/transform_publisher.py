@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -21,6 +20,7 @@ from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import TF, TF_STATIC, Frames, placed
 from zarm_ros_bridge.ros import Ros
+from zarm_runtime.worker import Worker
 
 PERIOD, AT_REST = 0.02, 0.1
 """How often (s) the moving frames are published while somebody listens, of a robot that moves and of one at rest."""
@@ -51,20 +51,21 @@ class TransformPublisher:
         self._scene: Scene | None = None
         self._wanted = self._listened = False
         self._looked_at = 0.0
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="tf")
+        self._introduced = False
+        self._before: Sequence[float] = engine.robot.descriptor.home
+        self._published_at = 0.0
+        self._worker = Worker("tf", self._run, _LOOK)
         frames.watch(self._on_tf)
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        self._worker.start()
         self._engine.bus.watch(self._engine.keys.scene, self._on_scene)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._ended.set()
-        self._thread.join()
+        self._worker.stop()
 
     def _on_scene(self, _: str, scene: Scene) -> None:
         self._scene = scene
@@ -78,40 +79,31 @@ class TransformPublisher:
                     self._others_at = time.monotonic()
                 return
 
-    def _run(self) -> None:
-        introduced, before, published_at = False, self._engine.robot.descriptor.home, 0.0
-        while not self._ended.wait(PERIOD if self._wanted else _LOOK):
-            self._look()
-            if not self._wanted:
-                continue
-            try:
-                joints = self._frames.joints()
-            except ZarmError:  # nothing is measured
-                continue
-            now = time.monotonic()
-            if now - published_at < AT_REST and not _moved(before, joints):
-                continue
-            before, published_at = joints, now
-            stamp = ros_time(time.time())
-            self._sent.append((stamp.sec, stamp.nanosec))
-            edges = list(self._frames.links.edges(joints))
-            if not introduced:
-                introduced = True
-                self._fixed.publish(
-                    TFMessage(
-                        transforms=[
-                            _transform(joint.parent, joint.child, pose_of(pose), stamp)
-                            for joint, pose in edges
-                            if joint.type == "fixed"
-                        ]
-                    )
-                )
-            moving = [
-                _transform(joint.parent, joint.child, pose_of(pose), stamp)
-                for joint, pose in edges
-                if joint.type != "fixed"
-            ]
-            self._moving.publish(TFMessage(transforms=[*moving, *self._objects(stamp)]))
+    def _run(self) -> float:
+        """Publish if somebody listens and something has moved; the time (s) until it is looked again."""
+        self._look()
+        if not self._wanted:
+            return _LOOK
+        try:
+            joints = self._frames.joints()
+        except ZarmError:  # nothing is measured
+            return PERIOD
+        now = time.monotonic()
+        if now - self._published_at >= AT_REST or _moved(self._before, joints):
+            self._before, self._published_at = joints, now
+            self._publish(joints)
+        return PERIOD
+
+    def _publish(self, joints: Sequence[float]) -> None:
+        stamp = ros_time(time.time())
+        self._sent.append((stamp.sec, stamp.nanosec))
+        edges = list(self._frames.links.edges(joints))
+        if not self._introduced:
+            self._introduced = True
+            fixed = [edge for edge in edges if edge[0].type == "fixed"]
+            self._fixed.publish(TFMessage(transforms=_transforms(fixed, stamp)))
+        moving = [edge for edge in edges if edge[0].type != "fixed"]
+        self._moving.publish(TFMessage(transforms=[*_transforms(moving, stamp), *self._objects(stamp)]))
 
     def _look(self) -> None:
         """See, now and then, whether somebody beside this bridge listens, and nobody else publishes the robot."""
@@ -135,6 +127,10 @@ class TransformPublisher:
 
 def _moved(before: Sequence[float], now: Sequence[float]) -> bool:
     return max(abs(a - b) for a, b in zip(now, before, strict=True)) > _MOVED
+
+
+def _transforms(edges: Iterable[tuple[Any, NDArray[Any]]], stamp: Any) -> list[Any]:
+    return [_transform(joint.parent, joint.child, pose_of(pose), stamp) for joint, pose in edges]
 
 
 def _transform(parent: str, child: str, pose: Pose, stamp: Any) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from zarm.robot import Robot
 from zarm_contract.errors import ZarmError
 from zarm_contract.robot import RobotDescription
 from zarm_contract.roles import Role
+from zarm_runtime.worker import Worker
 from zarm_viewer.agent_panel import AgentPanel
 from zarm_viewer.aim import Goal
 from zarm_viewer.environment import BESIDE, add_environment
@@ -85,14 +85,14 @@ class Page:
             if isinstance(shown.source, Robot):
                 endpoint = shown.source.connection.bus.endpoint
                 self._stops.append(Stop(endpoint, shown.name, role, part.stopped))
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._draw, name="page", daemon=True)
-        self._thread.start()
+        self._due = time.monotonic()
+        self._worker = Worker("page", self._draw)
+        self._worker.wake()
+        self._worker.start()
 
     def close(self) -> None:
         """Close every open page, and end."""
-        self._ended.set()
-        self._thread.join()
+        self._worker.stop()
         for stop in self._stops:
             stop.close()
         self.server.stop()
@@ -132,17 +132,17 @@ class Page:
         choice.on_update(lambda _: choose())
         choose()
 
-    def _draw(self) -> None:
-        due = time.monotonic()
-        while not self._ended.wait(due - time.monotonic()):
-            try:
-                with self.server.atomic():
-                    for part in self._parts:
-                        part.draw()
-                self.server.flush()
-            except Exception:
-                log.exception("drawing failed")
-            due = max(due + (PERIOD if self.server.get_clients() else UNSEEN), time.monotonic() + LEAST)
+    def _draw(self) -> float:
+        """Draw what has changed; the time (s) until it is drawn again."""
+        try:
+            with self.server.atomic():
+                for part in self._parts:
+                    part.draw()
+            self.server.flush()
+        except Exception:
+            log.exception("drawing failed")
+        self._due = max(self._due + (PERIOD if self.server.get_clients() else UNSEEN), time.monotonic() + LEAST)
+        return self._due - time.monotonic()
 
 
 class _Part:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Callable
 
 from zarm.connection import Connection, keys_of
@@ -11,6 +10,7 @@ from zarm.robot import Robot
 from zarm_contract.errors import ZarmError
 from zarm_contract.roles import Role
 from zarm_runtime.bus import Bus
+from zarm_runtime.worker import Worker
 
 log = logging.getLogger(__name__)
 
@@ -24,28 +24,23 @@ class Stop:
         self._bus = Bus(endpoint, role=role)
         self._robot = Robot(Connection.of(self._bus, keys_of(name)))
         self._reported = reported
-        self._pressed, self._ended = threading.Event(), False
-        self._thread = threading.Thread(target=self._run, name=f"stop {name}", daemon=True)
-        self._thread.start()
+        self._worker = Worker(f"stop {name}", self._stop)
+        self._worker.start()
 
     def press(self) -> None:
         """Stop the robot; returns at once."""
-        self._pressed.set()
+        self._worker.wake()
 
     def close(self) -> None:
         """End the thread and the session."""
-        self._ended = True
-        self._pressed.set()
-        self._thread.join()
+        self._worker.stop()
         self._bus.close()
 
-    def _run(self) -> None:
-        while self._pressed.wait() and not self._ended:
-            self._pressed.clear()
-            try:
-                self._robot.stop()
-            except ZarmError as error:
-                log.warning("stop failed robot=%s reason=%s", self._robot.name, error)
-                self._reported(self._robot.name, error)
-            else:
-                self._reported(self._robot.name, None)
+    def _stop(self) -> None:
+        try:
+            self._robot.stop()
+        except ZarmError as error:
+            log.warning("stop failed robot=%s reason=%s", self._robot.name, error)
+            self._reported(self._robot.name, error)
+        else:
+            self._reported(self._robot.name, None)

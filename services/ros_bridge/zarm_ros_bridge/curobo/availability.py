@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import threading
 from types import TracebackType
 from typing import Any, Self
 
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_ros_bridge.curobo.parameters import AVAILABLE, Parameters
 from zarm_ros_bridge.engine import Engine
+from zarm_runtime.worker import Worker
 
 _NEEDED = ("planner", "executor")
 _PERIOD = 0.5  # interval (s) of the checks
@@ -20,25 +20,24 @@ class Availability:
     def __init__(self, engine: Engine, parameters: Parameters) -> None:
         self._engine = engine
         self._parameters = parameters
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._wait, name="node_is_available")
+        self._available = False
+        self._worker = Worker("node_is_available", self._check, _PERIOD)
         parameters.on_change(AVAILABLE, _refuse)
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        self._worker.wake()
+        self._worker.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._ended.set()
-        self._thread.join()
+        self._worker.stop()
 
-    def _wait(self) -> None:
-        while not all(map(self._ready, _NEEDED)):
-            if self._ended.wait(_PERIOD):
-                return
-        self._parameters.set(AVAILABLE, True)
+    def _check(self) -> None:
+        if not self._available and all(map(self._ready, _NEEDED)):
+            self._available = True
+            self._parameters.set(AVAILABLE, True)
 
     def _ready(self, service: str) -> bool:
         try:

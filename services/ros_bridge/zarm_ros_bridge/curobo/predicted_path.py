@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,6 +21,7 @@ from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.curobo.live_target import LiveTarget
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.ros import Ros
+from zarm_runtime.worker import Worker
 from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
@@ -46,27 +46,22 @@ class PredictedPath:
     @contextmanager
     def shown(self, live: LiveTarget, steps: int, step: float) -> Iterator[None]:
         """A block in which the target is shown, and the path for `steps` steps of `step` s."""
-        ended = threading.Event()
         times = step * np.arange(steps + 1)
-        thread = threading.Thread(target=self._show, args=(live, times, ended), name="mpc_predicted_path")
-        thread.start()
+        worker = Worker("mpc_predicted_path", lambda: self._show(live, times), _PERIOD)
+        worker.wake()
         try:
-            yield
+            with worker:
+                yield
         finally:
-            ended.set()
-            thread.join()
             self._marker.publish(Marker(action=Marker.DELETEALL))
 
-    def _show(self, live: LiveTarget, times: np.ndarray, ended: threading.Event) -> None:
-        while True:
-            self._marker.publish(self._arrow(live.pose))
-            if self._path.get_subscription_count():
-                try:
-                    self._path.publish(self._predicted(times))
-                except ZarmError as error:  # the robot is led regardless
-                    log.info("no predicted path reason=%s", error)
-            if ended.wait(_PERIOD):
-                return
+    def _show(self, live: LiveTarget, times: np.ndarray) -> None:
+        self._marker.publish(self._arrow(live.pose))
+        if self._path.get_subscription_count():
+            try:
+                self._path.publish(self._predicted(times))
+            except ZarmError as error:  # the robot is led regardless
+                log.info("no predicted path reason=%s", error)
 
     def _predicted(self, times: np.ndarray) -> Path:
         """The tip along what the executor follows: the next steps, and the braking after them."""

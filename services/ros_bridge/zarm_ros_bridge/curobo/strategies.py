@@ -18,6 +18,7 @@ from zarm_ros_bridge.curobo.parameters import Parameters, robot_type
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.holds import waiting
 from zarm_ros_bridge.ros import Ros
+from zarm_runtime.worker import Worker
 
 if TYPE_CHECKING:
     from curobo_msgs.srv import GetRobotStrategies, SetRobotStrategy
@@ -38,10 +39,8 @@ class StrategyServices:
         self._parameters = parameters
         self._active = engine.robot.descriptor.strategy
         self._showing = threading.Lock()
-        self._changed = threading.Event()
-        self._ended = False
-        self._follower = threading.Thread(target=self._follow, name="strategy parameters")
-        parameters.on_change("control_strategy", self._switch, self._changed.set)
+        self._follower = Worker("strategy parameters", self._follow)
+        parameters.on_change("control_strategy", self._switch, self._follower.wake)
         parameters.on_change("robot_type", self._check_type)
         generation.serve(ros, "SetRobotStrategy", "~/set_robot_strategy", with_message(self._set))
         ros.serve(Trigger, "~/get_robot_strategy", with_message(self._get))
@@ -49,17 +48,15 @@ class StrategyServices:
         first.serve(Trigger, f"{ros.node.get_name()}/set_robot_strategy", with_message(self._set_chosen))
 
     def __enter__(self) -> Self:
-        self._changed.set()
+        self._follower.wake()
         self._follower.start()
-        self._engine.bus.watch(self._engine.keys.strategy, lambda _key, _strategies: self._changed.set())
+        self._engine.bus.watch(self._engine.keys.strategy, lambda _key, _strategies: self._follower.wake())
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._ended = True
-        self._changed.set()
-        self._follower.join()
+        self._follower.stop()
 
     def _set(self, request: SetRobotStrategy.Request, response: SetRobotStrategy.Response) -> str:
         before = self._engine.client.strategy().active
@@ -119,12 +116,10 @@ class StrategyServices:
         self._show()
 
     def _follow(self) -> None:
-        while self._changed.wait() and not self._ended:
-            self._changed.clear()
-            try:
-                self._show()
-            except ZarmError as error:  # the executor is away, and publishes its strategy when it is back
-                log.info("strategy unknown reason=%s", error)
+        try:
+            self._show()
+        except ZarmError as error:  # the executor is away, and publishes its strategy when it is back
+            log.info("strategy unknown reason=%s", error)
 
     def _show(self) -> None:
         """Set the parameters to the executor's state. A robot_type that was chosen but not applied yet stays until a

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import logging
-import math
 import threading
-import time
 from collections.abc import Callable, MutableMapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -15,7 +13,6 @@ from moveit_msgs.msg import (
     AttachedCollisionObject,
     CollisionObject,
     PlanningScene,
-    PlanningSceneComponents,
 )
 from moveit_msgs.msg import MoveItErrorCodes as Val
 from moveit_msgs.srv import ApplyPlanningScene, GetPlanningScene, LoadGeometryFromFile, SaveGeometryToFile
@@ -33,6 +30,7 @@ from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
 from zarm_ros_bridge.moveit.collision_objects import id_of, name_of
 from zarm_ros_bridge.moveit.error_codes import Refusal
+from zarm_ros_bridge.moveit.monitored_scene import MonitoredScene
 from zarm_ros_bridge.moveit.octomap import OCTOMAP, voxels_of
 from zarm_ros_bridge.moveit.planning_scene import ALL, PlanningSceneMessages
 from zarm_ros_bridge.moveit.scene_draft import SceneDraft
@@ -43,11 +41,6 @@ from zarm_trajectory.arrays import Array
 log = logging.getLogger(__name__)
 
 EDITS = QoSProfile(depth=100)
-STATE_PERIOD = 0.25
-"""How often (s) the state of the robot is published in the scene while it moves, as MoveIt does by default."""
-MAP_PERIOD = 0.5
-"""Least time (s) between two octomaps in the scene."""
-_MOVED = 1e-4
 
 
 class PlanningScenes:
@@ -61,12 +54,8 @@ class PlanningScenes:
         self._voxels = VoxelBlocks()
         self._messages = PlanningSceneMessages(engine.robot, self._origins, colours, self._voxels)
         self._editing = threading.Lock()
-        self._changed = threading.Event()
-        self._ended = False
-        self._scene: Scene | None = None
         self._log = ros.node.get_logger()
-        self._publisher = ros.node.create_publisher(PlanningScene, "monitored_planning_scene", 10)
-        self._thread = threading.Thread(target=self._publish, name="planning scene")
+        self._monitored = MonitoredScene(ros, self._messages, self._voxels, self._joints)
         ros.serve(GetPlanningScene, "get_planning_scene", self._get)
         ros.serve(ApplyPlanningScene, "apply_planning_scene", self._apply)
         ros.serve(SaveGeometryToFile, "save_geometry_to_file", self._save)
@@ -81,7 +70,7 @@ class PlanningScenes:
             ros.node.create_subscription(kind, topic, self._listened(topic, edit), EDITS, callback_group=in_order)
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        self._monitored.start()
         self._engine.bus.watch(self._engine.keys.scene, self._on_scene)
         self._engine.bus.watch(self._engine.keys.voxels("*"), self._voxels.receive)
         self._engine.bus.watch(self._engine.keys.perception_state, self._voxels.on_state)
@@ -90,9 +79,7 @@ class PlanningScenes:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._ended = True
-        self._changed.set()
-        self._thread.join()
+        self._monitored.stop()
 
     def check_diff(self, scene: Any) -> None:
         """Raises Refusal for a scene that is to hold for one plan alone."""
@@ -278,34 +265,7 @@ class PlanningScenes:
         names = {id_of(item.name) for item in scene.objects} | {id_of(one.object.name) for one in scene.attached}
         for gone in set(self._origins) - names:
             self._origins.pop(gone, None)
-        self._scene = scene
-        self._changed.set()
-
-    def _publish(self) -> None:
-        shown: Scene | None = None
-        at: tuple[float, ...] = ()
-        subscribers = 0
-        mapped, mapped_at = self._voxels.objects, -math.inf
-        while not self._ended:
-            self._changed.wait(STATE_PERIOD)
-            self._changed.clear()
-            scene, before = self._scene, subscribers
-            subscribers = self._publisher.get_subscription_count()
-            if scene is None or not subscribers:
-                shown = None
-                continue
-            joints = self._joints()
-            if scene is not shown or subscribers > before:
-                self._publisher.publish(self._messages.message(scene, joints))
-                shown, at, mapped, mapped_at = scene, joints or (), self._voxels.objects, time.monotonic()
-            elif self._voxels.objects is not mapped and time.monotonic() - mapped_at > MAP_PERIOD:
-                mapped, mapped_at = self._voxels.objects, time.monotonic()
-                self._publisher.publish(self._messages.seen())
-            elif joints is not None and _differ(joints, at):
-                diff = self._messages.message(scene, joints, PlanningSceneComponents.ROBOT_STATE)
-                diff.is_diff = diff.robot_state.is_diff = True
-                self._publisher.publish(diff)
-                at = joints
+        self._monitored.change(scene)
 
     def _joints(self) -> tuple[float, ...] | None:
         try:
@@ -322,7 +282,3 @@ def _file(name: str) -> Path:
             Val.FAILURE, f"{name!r} is no file of a scene; give one that ends with .scene", "file_path_and_name"
         )
     return path
-
-
-def _differ(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
-    return len(a) != len(b) or any(abs(x - y) > _MOVED for x, y in zip(a, b, strict=True))

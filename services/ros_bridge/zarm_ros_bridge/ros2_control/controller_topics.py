@@ -18,6 +18,7 @@ from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.frames import Frames
 from zarm_ros_bridge.ros import Ros
+from zarm_runtime.worker import Worker
 
 NAME = "zarm_controller/{}"
 """Relative to the namespace of the bridge."""
@@ -36,7 +37,6 @@ class ControllerTopics:
         self._ros, self._engine, self._frames = ros, engine, frames
         self._state: ExecutorState | None = None
         self._next: threading.Timer | None = None
-        self._ended = threading.Event()
         self._publisher = ros.node.create_publisher(JointTrajectoryControllerState, NAME.format("controller_state"), 1)
         ros.listen(
             JointTrajectory,
@@ -45,17 +45,16 @@ class ControllerTopics:
             1,
         )
         engine.bus.watch(engine.keys.executor_state, self._on_state)
-        self._thread = threading.Thread(target=self._publish, name="controller state")
+        self._worker = Worker("controller state", self._publish, _UNSEEN)
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        self._worker.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._ended.set()
-        self._thread.join()
+        self._worker.stop()
         self._withdraw()
 
     def _on_state(self, _key: str, state: ExecutorState) -> None:
@@ -92,13 +91,12 @@ class ControllerTopics:
     def _warn(self, error: ZarmError) -> None:
         self._ros.node.get_logger().warning(f"{NAME.format('joint_trajectory')}: {error}")
 
-    def _publish(self) -> None:
-        period = _UNSEEN
-        while not self._ended.wait(period):
-            seen = self._publisher.get_subscription_count() > 0
-            period = _PERIOD if seen else _UNSEEN
-            if seen:
-                self._publish_state()
+    def _publish(self) -> float:
+        """Publish the state if somebody listens; the time (s) until the next one."""
+        if not self._publisher.get_subscription_count():
+            return _UNSEEN
+        self._publish_state()
+        return _PERIOD
 
     def _publish_state(self) -> None:
         try:

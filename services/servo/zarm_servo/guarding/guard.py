@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,6 +22,7 @@ from zarm_contract.messages import (
 )
 from zarm_runtime.bus import LatchedPublisher, Publisher
 from zarm_runtime.metrics import Metrics
+from zarm_runtime.worker import Worker
 from zarm_servo.guarding.stopping import StoppingTime, reaction
 from zarm_servo.world.check import Checker, PathValidity
 from zarm_servo.world.goal_monitor import FollowedGoal, GoalMonitor
@@ -98,9 +98,7 @@ class Guard:
         self._stopping: tuple[TimedTrajectory, StoppingTime] | None = None
         self._validity: PathValidity | ZarmError = PathValidity()
         self._took = 0.0
-        self._news = threading.Event()
-        self._closing = False
-        self._thread = threading.Thread(target=self._run, name="guard", daemon=True)
+        self._worker = Worker("guard", self._run, PERIOD)
         world.on_change.append(self.wake)
         world.on_move.append(self._something_moved)
         world.on_state.append(self._goals.on_state)
@@ -108,13 +106,12 @@ class Guard:
         world.on_trajectory.append(self.on_trajectory)
 
     def __enter__(self) -> Guard:
-        self._thread.start()
+        self._worker.wake()
+        self._worker.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._closing = True
-        self.wake()
-        self._thread.join()
+        self._worker.stop()
 
     # -- what is heard, from any thread --
 
@@ -124,7 +121,7 @@ class Guard:
 
     def wake(self) -> None:
         """Run the next check at once."""
-        self._news.set()
+        self._worker.wake()
 
     def on_trajectory(self, message: GoalTrajectory) -> None:
         """A goal begins, or its trajectory changes."""
@@ -143,18 +140,15 @@ class Guard:
 
     # -- the thread --
 
-    def _run(self) -> None:
-        while not self._closing:
-            try:
-                self._check()
-            except Exception:  # if the guard ended, every goal would silently be unguarded
-                log.exception("the guard failed; it goes on")
-            if self._goals.newest is not None and self._world.moving:
+    def _run(self) -> float:
+        """Check once; the longest time (s) until the next check."""
+        try:
+            self._check()
+        finally:
+            moving = self._goals.newest is not None and self._world.moving
+            if moving:
                 time.sleep(_PACE)
-                self._news.wait(_RECHECKED)
-            else:
-                self._news.wait(PERIOD)
-            self._news.clear()
+        return _RECHECKED if moving else PERIOD
 
     def _check(self) -> None:
         scene = self._world.scene.snapshot(time.monotonic())

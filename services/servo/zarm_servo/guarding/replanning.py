@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from zarm_contract.messages import (
 )
 from zarm_contract.robot import RobotDescription
 from zarm_runtime.metrics import Metrics
+from zarm_runtime.worker import Worker
 from zarm_servo.guarding.lead import Lead
 from zarm_servo.guarding.stopping import StoppingTime, reaction
 from zarm_servo.world.check import LOOK_AHEAD, Checker
@@ -95,20 +95,16 @@ class Replanner:
         self._stops: GoalTrajectory | None = None  # cannot be replanned in motion
         self._replaced: GoalTrajectory | None = None  # already replaced at the executor
         self._asked_at_rest = -np.inf
-        self._news = threading.Event()
-        self._closing = False
-        self._thread = threading.Thread(target=self._run, name="replanning", daemon=True)
+        self._worker = Worker("replanning", self._run)
         world.on_state.append(self._on_state)
         world.on_goal.append(self.on_goal)
 
     def __enter__(self) -> Replanner:
-        self._thread.start()
+        self._worker.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._closing = True
-        self._news.set()
-        self._thread.join()
+        self._worker.stop()
 
     # -- what is heard, from any thread --
 
@@ -134,30 +130,25 @@ class Replanner:
         if until is None:
             self._stops = None
         self._blocked = None if until is None else Blocked(message, trajectory, until)
-        self._news.set()
+        self._worker.wake()
 
     # -- the thread --
 
     def _run(self) -> None:
-        while not self._closing:
-            self._news.wait()
-            self._news.clear()
-            blocked, latest = self._blocked, self._goal
-            if blocked is None or latest is None or latest[0].goal_id != blocked.message.goal_id:
-                continue
-            goal = latest[0]
-            if goal.status != "running" or blocked.message is self._replaced:
-                continue
-            try:
-                in_motion = blocked.message is not self._stops and blocked.message.path_constraint is None
-                if in_motion:
-                    self._replan_in_motion(blocked)
-                elif goal.hold is not None and self._rests() and time.monotonic() - self._asked_at_rest > REST_PERIOD:
-                    self._replan_at_rest(blocked)
-            except ZarmError as error:
-                log.info("not replanned goal_id=%s reason=%s", blocked.message.goal_id, error)
-            except Exception:  # the goal stays held, as without replanning
-                log.exception("replanning failed")
+        blocked, latest = self._blocked, self._goal
+        if blocked is None or latest is None or latest[0].goal_id != blocked.message.goal_id:
+            return
+        goal = latest[0]
+        if goal.status != "running" or blocked.message is self._replaced:
+            return
+        try:  # if this fails, the goal stays held, as without replanning
+            in_motion = blocked.message is not self._stops and blocked.message.path_constraint is None
+            if in_motion:
+                self._replan_in_motion(blocked)
+            elif goal.hold is not None and self._rests() and time.monotonic() - self._asked_at_rest > REST_PERIOD:
+                self._replan_at_rest(blocked)
+        except ZarmError as error:
+            log.info("not replanned goal_id=%s reason=%s", blocked.message.goal_id, error)
 
     def _replan_in_motion(self, blocked: Blocked) -> None:
         """Plan from a state ahead. Raises the ZarmError that prevents a plan in motion."""

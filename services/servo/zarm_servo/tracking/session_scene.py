@@ -13,6 +13,7 @@ from zarm_contract.errors import ZarmError
 from zarm_contract.messages import SceneRevision
 from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.situation import MovingObject, NearPair
+from zarm_runtime.worker import Worker
 from zarm_servo.kernels.step import RANGE
 from zarm_servo.tracking.controller import Surroundings
 from zarm_servo.world.check import SceneCheck
@@ -43,8 +44,7 @@ class SessionScene:
         self._seen = self._scene, moving.of(self._scene)
         self._load()
         self._news = threading.Event()
-        self._closing = False
-        self._thread = threading.Thread(target=self._run, name="scene", daemon=True)
+        self._worker = Worker("scene", self._run)
 
     @property
     def motions(self) -> MotionCheck:
@@ -58,13 +58,11 @@ class SessionScene:
 
     def open(self) -> None:
         """Begin to keep the scene up to date."""
-        self._thread.start()
+        self._worker.start()
 
     def close(self) -> None:
         """Stop: the check is free for another session."""
-        self._closing = True
-        self._news.set()
-        self._thread.join()
+        self._worker.stop()
 
     def look(self, now: float) -> None:
         """Take what is known at `now` (s, monotonic): moving objects at once, static ones when loaded."""
@@ -72,6 +70,7 @@ class SessionScene:
         self._seen = scene, self._moving.of(scene)
         if scene is not self._scene or len(movers) != len(self._seen[1]):
             self._news.set()
+            self._worker.wake()
 
     def around(self, now: float, ahead: float, scale: float) -> Surroundings:
         """The surroundings for a motion that begins `ahead` s after `now` (s, monotonic) and runs at `scale` times its
@@ -113,12 +112,11 @@ class SessionScene:
             self._load()
 
     def _run(self) -> None:
-        while self._news.wait() and not self._closing:
-            try:
-                self.catch_up()
-            except ZarmError:
-                log.exception("the session's scene failed; the session ends")
-                self._failed()
+        try:
+            self.catch_up()
+        except ZarmError:
+            log.exception("the session's scene failed; the session ends")
+            self._failed()
 
     def _moved(self, now: float, ahead: float, scale: float) -> list[MovingObject]:
         return [mover.moving(now, ahead, scale) for mover in self._seen[1]]

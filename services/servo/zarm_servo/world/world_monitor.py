@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ from zarm_geometry.gripper_openings import GripperOpenings
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.voxel_blocks import VoxelBlocks
 from zarm_runtime.bus import Bus, Latest
+from zarm_runtime.worker import Worker
 from zarm_servo.world.moving_objects import MovingObjects
 from zarm_servo.world.robot_lag import RobotLag
 from zarm_servo.world.scene_monitor import SceneMonitor
@@ -46,6 +46,7 @@ class WorldMonitor:
         self.on_goal: list[Callable[[GoalState], object]] = []
         self.on_trajectory: list[Callable[[GoalTrajectory], object]] = []
         self.planner_gone = False
+        self._missed = 0
         self.scene = SceneMonitor(lambda: _call(self.on_change))
         self.grippers = GripperOpenings(descriptor, lambda: self.scene.on_openings(self.grippers.present()))
         self.scene.on_openings(self.grippers.present())
@@ -66,14 +67,8 @@ class WorldMonitor:
         bus.watch(keys.executor_state, lambda _, state: _call(self.on_state, state))
         bus.watch(keys.goal("*"), lambda _, goal: _call(self.on_goal, goal))
         bus.watch(keys.goal_trajectory, lambda _, trajectory: _call(self.on_trajectory, trajectory))
-        ended = threading.Event()
-        watching = threading.Thread(target=self._watch_planner, args=(bus, keys, ended), name="planner", daemon=True)
-        watching.start()
-        try:
+        with Worker("planner", lambda: self._look_for_planner(bus, keys), PLANNER_PERIOD):
             yield
-        finally:
-            ended.set()
-            watching.join()
 
     def _on_object(self, key: str, payload: bytes) -> None:
         try:
@@ -81,12 +76,10 @@ class WorldMonitor:
         except ValidationError as error:
             log.warning("dropped a message key=%s reason=%s", key, error.errors()[0]["msg"])
 
-    def _watch_planner(self, bus: Bus, keys: Keys, ended: threading.Event) -> None:
-        missed = 0
-        while not ended.wait(PLANNER_PERIOD):
-            alive = bus.alive(keys.alive("planner", "*"), timeout=PLANNER_PERIOD)
-            missed = 0 if alive else missed + 1
-            self.planner_gone = missed >= MISSED
+    def _look_for_planner(self, bus: Bus, keys: Keys) -> None:
+        alive = bus.alive(keys.alive("planner", "*"), timeout=PLANNER_PERIOD)
+        self._missed = 0 if alive else self._missed + 1
+        self.planner_gone = self._missed >= MISSED
 
 
 def _call(callables: list[Callable[..., object]], *arguments: object) -> None:
