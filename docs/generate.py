@@ -24,6 +24,7 @@ from zarm_contract.collision import CollisionCapsule, CollisionCuboid, Collision
 from zarm_contract.descriptor import (
     CSpace,
     ExecutionSettings,
+    JointFriction,
     MemberRobot,
     Payload,
     RobotDescriptor,
@@ -186,6 +187,7 @@ _SECTIONS = {
     "ToolSpeeds": "tool",
     "Payload": "payload",
     "ExecutionSettings": "execution",
+    "JointFriction": "friction",
     "StrategyParams": "strategy_params",
     "Gripper": "gripper",
     "DigitalOutput": "output",
@@ -378,6 +380,7 @@ def robot() -> Iterator[str]:
         ToolSpeeds,
         Payload,
         ExecutionSettings,
+        JointFriction,
         StrategyParams,
         CollisionSphere,
         CollisionCapsule,

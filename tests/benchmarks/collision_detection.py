@@ -1,7 +1,7 @@
 """Collisions felt by the efforts of the joints: `python tests/benchmarks/collision_detection.py [--minutes 60] [--pushes 300] [--force 50]`.
 
-A UR5e with mass and the `industrial` drives (friction, noise, delay) goes from one random configuration to the next, in simulated time. First its limits are
-set as a user would: 1.5 times the most that each joint differs from the model in some minutes of motion. Then it moves for an hour, and every collision that is
+A UR5e with mass and the `industrial` drives (friction, noise, delay) goes from one random configuration to the next, in simulated time. First its friction is
+identified, and its limits are set, as `zarm identify` does after some minutes of motion; with --without-friction, the limits alone. Then it moves for an hour, and every collision that is
 felt is a false alarm. At last, in each motion a force in a random direction pushes the tip from a random moment on. It is noticed if a joint state within
 the time given leads to the message that stops the robot; the time counts from the push. A force that no joint bears with more than its limit, such as
 one along the arm, cannot be noticed and is counted apart.
@@ -15,7 +15,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import count
+from itertools import count, repeat
 from pathlib import Path
 
 from zarm_trajectory.arrays import Array
@@ -26,6 +26,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from zarm_contract.descriptor import JointFriction
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import ExecutorState, ExternalTorque, JointGoal, JointState, PlanRequest
 from zarm_contract.robot import RobotDescription, load_robot
@@ -65,18 +66,16 @@ class Cell:
         self.time = 0.0
         self.felt: list[ExternalTorque] = []
         self.largest = np.zeros(len(home))
-        self.detection = self.detecting(None)
+        self.detection = self.detecting(ROBOT)
         self.numbers = count()
 
     @property
     def position(self) -> tuple[float, ...]:
         return tuple(self.arm.simulation.position.tolist())
 
-    def detecting(self, limits: Array | None) -> CollisionDetection:
-        """The detection with these limits (J,)."""
-        return CollisionDetection(
-            RobotModel.of(with_limits(limits)), SceneMonitor(lambda: None), self._receive, lambda: None
-        )
+    def detecting(self, robot: RobotDescription) -> CollisionDetection:
+        """The detection of collisions of a robot."""
+        return CollisionDetection(RobotModel.of(robot), SceneMonitor(lambda: None), self._receive, lambda: None)
 
     def _receive(self, message: ExternalTorque) -> None:
         self.largest = np.maximum(self.largest, message.largest)
@@ -132,11 +131,10 @@ class Cell:
             return TimedTrajectory.of(plan.trajectory, ROBOT.descriptor.joints)
 
 
-def with_limits(limits: Array | None) -> RobotDescription:
-    """The robot with these limits (J,)."""
-    if limits is None:
-        return ROBOT
-    execution = ROBOT.descriptor.execution.model_copy(update={"external_torque_limits": tuple(limits.tolist())})
+def described(limits: Array, friction: JointFriction | None) -> RobotDescription:
+    """The robot with these limits (J,), and its friction."""
+    known = {"external_torque_limits": tuple(limits.tolist()), "friction": friction}
+    execution = ROBOT.descriptor.execution.model_copy(update=known)
     return replace(ROBOT, descriptor=ROBOT.descriptor.model_copy(update={"execution": execution}))
 
 
@@ -183,25 +181,33 @@ def main() -> None:
     parser.add_argument("--pushes", type=int, default=300)
     parser.add_argument("--force", type=float, default=50.0, help="N")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--without-friction", action="store_true", help="friction counts as torque from outside")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         cell = Cell(Path(name), arguments.seed)
         moving(cell, LEARNING)
-        limits = SPARE * cell.largest
+        if arguments.without_friction:
+            friction, limits = None, SPARE * cell.largest
+        else:
+            found = cell.detection.identification.estimate()
+            friction, limits = JointFriction(dry=found.dry, viscous=found.viscous), SPARE * np.array(found.largest)
         cell.largest = np.zeros(len(limits))
-        cell.detection = cell.detecting(limits)
+        cell.detection = cell.detecting(described(limits, friction))
         alarms = moving(cell, arguments.minutes)
-        joints = Table("joint", "limit", "largest in motion (Nm)")
-        for joint, limit, largest in zip(ROBOT.descriptor.joints, limits, cell.largest, strict=True):
-            joints.add_row(joint, f"{limit:.1f}", f"{largest:.1f}")
-        found = [pushed(cell, limits, arguments.force) for _ in range(arguments.pushes)]
-    times = np.array([after for after, noticeable in found if noticeable and after is not None])
-    noticeable = sum(each for _, each in found)
+        joints = Table("joint", "dry friction", "viscous", "limit", "largest in motion (Nm)")
+        known = zip(friction.dry, friction.viscous, strict=True) if friction is not None else repeat((0.0, 0.0))
+        for joint, (dry, viscous), limit, largest in zip(
+            ROBOT.descriptor.joints, known, limits, cell.largest, strict=False
+        ):
+            joints.add_row(joint, f"{dry:.2f}", f"{viscous:.2f}", f"{limit:.1f}", f"{largest:.1f}")
+        pushes = [pushed(cell, limits, arguments.force) for _ in range(arguments.pushes)]
+    times = np.array([after for after, noticeable in pushes if noticeable and after is not None])
+    noticeable = sum(each for _, each in pushes)
     table = Table("what", "figure")
     table.add_row(f"false alarms in {arguments.minutes:g} min of motion", str(alarms))
     table.add_row(
         f"pushes with {arguments.force:g} N that a joint bears with more than its limit",
-        f"{noticeable} of {len(found)}",
+        f"{noticeable} of {len(pushes)}",
     )
     table.add_row("of these noticed within 30 ms", f"{int((times <= 0.03 + 1e-9).sum())}")
     table.add_row("noticed within 50 ms, 300 ms", f"{int((times <= 0.05 + 1e-9).sum())}, {len(times)}")

@@ -163,6 +163,27 @@ def test_a_push_is_felt_and_ends_the_motion_in_a_fault(tmp_path: Path) -> None:
         cell.fault()
 
 
+def test_with_identified_friction_a_soft_push_is_felt(tmp_path: Path) -> None:
+    shutil.copy(ROBOTS / "ur5e.urdf", tmp_path)
+    text = (ROBOTS / "ur5e.yaml").read_text(encoding="utf-8")
+    there, back = (0.9, -1.2, 1.2, -1.0, -1.0, 0.5), (-0.9, -1.5, 1.5, -1.57, -1.57, -0.5)
+    with cell_of(tmp_path, "ur5e", with_servo=True) as cell:
+        refused = run_zarm("identify", "--connect", cell.endpoint)
+        assert refused.returncode == 3
+        assert "let the robot make the motions of its work" in refused.stderr
+        while cell.robot.execute(cell.robot.plan(there)).status == "succeeded":
+            cell.robot.execute(cell.robot.plan(back))
+            identified = run_zarm("identify", "--connect", cell.endpoint)
+            if identified.returncode == 0:
+                break
+    assert "friction:" in identified.stdout
+    (tmp_path / "ur5e.yaml").write_text(f"{text}\n{identified.stdout}", encoding="utf-8")
+    with cell_of(tmp_path, str(tmp_path / "ur5e.yaml"), with_servo=True) as cell:
+        assert cell.robot.execute(cell.robot.plan(there)).status == "succeeded", "friction is no collision"
+        with pytest.raises(zarm.ExecutionFailed, match="something pushes"):
+            cell.robot.execute(cell.robot.plan(back), on_progress=lambda _: cell.fault(push=(0.0, 0.0, -25.0)))
+
+
 def test_a_driver_without_mass_cannot_be_pushed(endpoint: str, tmp_path: Path) -> None:
     robot = load_robot("ur5e")
     with Bus(endpoint) as bus, ServiceProcess("leeloo_sim", endpoint, tmp_path, "ur5e") as process:

@@ -47,6 +47,17 @@ class ToolSpeeds(Section):
 FaultPolicy = Literal["latch", "clear_at_rest"]
 
 
+class JointFriction(Section):
+    """The friction of the joints, in the order of `joints`, as `zarm identify` finds it. That of the URDF (`dynamics`) is not read: it mostly makes simulations
+    stable.
+    """
+
+    dry: Annotated[tuple[NonNegative, ...], Field(min_length=1, max_length=64)]
+    """Of a joint that moves, however slowly (Nm; N if prismatic)."""
+    viscous: Annotated[tuple[NonNegative, ...], Field(min_length=1, max_length=64)]
+    """What comes to that at 1 rad/s (Nm; N at 1 m/s if prismatic)."""
+
+
 class ExecutionSettings(Section):
     """What the executor checks before and during motion.
 
@@ -86,6 +97,9 @@ class ExecutionSettings(Section):
     faults: FaultPolicy = "latch"
     """How a fault is left. `latch`: by `reset` alone. `clear_at_rest`: also by the next goal, once the robot rests and reports its joints. A robot that did not stop when it was told to needs a `reset` either way."""
 
+    friction: JointFriction | None = None
+    """The friction of the joints, which counts as what a motion needs. Left out: friction counts as torque from outside, and `external_torque_limits`
+    have to be wider than it."""
     external_torque_limits: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=64)] | None = None
     """How much the measured effort of each joint may differ from what its motion needs (Nm; N if prismatic): beyond that something pushes the robot,
     and the motion ends in a fault. The servo compares them; it needs the inertia of each link in the URDF, and a driver that reports
@@ -269,6 +283,8 @@ class RobotDescriptor(Section):
         }
         if self.execution.external_torque_limits is not None:
             vectors["execution.external_torque_limits"] = self.execution.external_torque_limits
+        if (friction := self.execution.friction) is not None:
+            vectors |= {"execution.friction.dry": friction.dry, "execution.friction.viscous": friction.viscous}
         faults = ["joints: a name appears twice"] if len(set(self.joints)) != count else []
         faults += [
             f"{name}: {len(vector)} values for {count} joints"

@@ -37,6 +37,7 @@ from zarm_contract.messages import (
     ExternalTorque,
     FkPoses,
     FkRequest,
+    FrictionEstimate,
     GoalState,
     GoalTrajectory,
     GripperCancel,
@@ -354,6 +355,14 @@ class Keys:
         "servo/state", ServoState, "What the servo does, and in which scene.", of="servo", recorded="changes"
     )
 
+    friction = Query(
+        "servo/friction",
+        Nothing,
+        FrictionEstimate,
+        "The friction of the joints, identified from their motions since the servo began.",
+        to="servo",
+        by=EVERYONE,  # it only reads
+    )
     external_torque = Topic(
         "servo/external_torque",
         ExternalTorque,

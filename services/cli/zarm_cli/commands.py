@@ -37,6 +37,7 @@ MODULES = {
     "fk": "kinematics",
     "ik": "kinematics",
     "check": "kinematics",
+    "identify": "identify",
     "record": "record",
     "replay": "replay",
     "stop": "execution",

@@ -8,11 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from zarm_contract.descriptor import JointFriction
+from zarm_contract.errors import Unavailable
 from zarm_contract.messages import (
     Attached,
     ExecutorState,
     ExternalTorque,
     JointState,
+    Nothing,
     Scene,
     Sphere,
 )
@@ -31,8 +34,14 @@ PUSH = np.array([0.0, 0.0, -60.0])
 """N, on the tip."""
 
 
-def limited(robot: RobotDescription, limits: Sequence[float] | None = LIMITS) -> RobotModel:
-    execution = robot.descriptor.execution.model_copy(update={"external_torque_limits": limits})
+FRICTION = JointFriction(dry=(15.0, 15.0, 15.0, 3.0, 3.0, 3.0), viscous=(15.0, 15.0, 15.0, 3.0, 3.0, 3.0))
+
+
+def limited(
+    robot: RobotDescription, limits: Sequence[float] | None = LIMITS, friction: JointFriction | None = None
+) -> RobotModel:
+    known = {"external_torque_limits": limits, "friction": friction}
+    execution = robot.descriptor.execution.model_copy(update=known)
     return RobotModel.of(replace(robot, descriptor=robot.descriptor.model_copy(update={"execution": execution})))
 
 
@@ -81,6 +90,12 @@ class Felt:
 def pushed(t: float, q: Array) -> Array:
     """A push on the tip from 0.5 s on."""
     return MODEL.tip_jacobian(q)[:3].T @ PUSH * (t >= 0.5)
+
+
+def rubbed(t: float, q: Array) -> Array:
+    """The friction of the joints, in the motion of `move`."""
+    velocity = 0.6 * np.cos(2.0 * t)
+    return -(np.sign(velocity) * np.array(FRICTION.dry) + velocity * np.array(FRICTION.viscous))
 
 
 def test_a_motion_as_the_model_says_is_no_collision() -> None:
@@ -144,6 +159,36 @@ def test_after_a_gap_old_samples_are_not_used() -> None:
     felt.move(0.3, begin=0.9)
     assert not felt.collisions()
     assert max(felt.messages[-1].largest) < 0.5
+
+
+def test_stated_friction_is_no_collision() -> None:
+    for known in (True, False):
+        felt = Felt(limited(UR5E, friction=FRICTION if known else None))
+        felt.move(3.0, rubbed)
+        assert bool(felt.collisions()) is not known
+
+
+def test_identified_friction_is_that_of_the_joints() -> None:
+    felt = Felt(limited(UR5E, None))
+    felt.move(12.0, rubbed)
+    found = felt.detection.identify(Nothing())
+    np.testing.assert_allclose(found.dry, FRICTION.dry, atol=0.5)
+    np.testing.assert_allclose(found.viscous, FRICTION.viscous, atol=0.9)
+
+
+def test_friction_at_rest_is_not_identified() -> None:
+    felt = Felt(limited(UR5E, None))
+    felt.run(None)
+    felt.move(12.0, rubbed)
+    with pytest.raises(Unavailable, match="0 joint states of motions are too few"):
+        felt.detection.identify(Nothing())
+
+
+def test_without_efforts_or_inertia_identification_says_so() -> None:
+    with pytest.raises(Unavailable, match="the driver reports no efforts"):
+        Felt(limited(UR5E, None)).detection.identify(Nothing())
+    with pytest.raises(Unavailable, match="does not state the inertia of each link"):
+        Felt(limited(load_robot("doosan_m1013"), None)).detection.identify(Nothing())
 
 
 def test_the_largest_torque_is_that_of_the_goal() -> None:

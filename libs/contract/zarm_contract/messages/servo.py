@@ -247,6 +247,18 @@ class ExternalTorque(ShortMessage):
     joint: Name | None = None
 
 
+class FrictionEstimate(Message):
+    """The friction of the joints, identified from measured efforts (Nm; N if prismatic): `dry` while a joint moves, and `viscous` at 1 rad/s. It comes
+    from `states` joint states of motions, the last five minutes at 100 Hz. With it, each joint differed by at most `largest` from what its motion needed.
+    """
+
+    joint_names: JointNames
+    dry: Joints
+    viscous: Joints
+    largest: Joints
+    states: int
+
+
 CollisionDetectionState = Literal["off", "on", "no_inertia", "no_effort"]
 """Off: no limits are set. On. The URDF does not state the inertia of each link. The driver reports no efforts."""
 

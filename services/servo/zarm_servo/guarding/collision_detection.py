@@ -10,9 +10,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zarm_contract.messages import Attached, CollisionDetectionState, ExecutorState, ExternalTorque, JointState
+from zarm_contract.errors import Unavailable
+from zarm_contract.messages import (
+    Attached,
+    CollisionDetectionState,
+    ExecutorState,
+    ExternalTorque,
+    FrictionEstimate,
+    JointState,
+    Nothing,
+)
 from zarm_geometry.dynamics import Dynamics
 from zarm_geometry.robot_model import RobotModel
+from zarm_servo.guarding.friction import Friction, FrictionIdentification, direction_of
 from zarm_servo.world.scene_monitor import SceneMonitor
 from zarm_trajectory.arrays import Array
 
@@ -37,8 +47,9 @@ class _Sample(NamedTuple):
 class CollisionDetection:
     """Watches the joint states of the driver. Messages of one kind come one at a time.
 
-    The torque from outside is that of the inverse dynamics, with everything that the robot carries, less the measured effort; the acceleration
-    is the change of the measured velocity over `_SPAN`, as in a momentum observer (De Luca and Mattone, 2003). Friction counts as torque from outside.
+    The torque from outside is that of the inverse dynamics, with everything that the robot carries, and of the friction that the descriptor states, less the measured effort; the
+    acceleration is the change of the measured velocity over `_SPAN`, as in a momentum observer (De Luca and Mattone, 2003). Other friction counts as
+    torque from outside; `identification` finds it.
     `changed` is called when `state` has changed.
     """
 
@@ -54,6 +65,8 @@ class CollisionDetection:
         self._joints = descriptor.joints
         limits = descriptor.execution.external_torque_limits
         self._limits = None if limits is None else np.array(limits)
+        self._friction = Friction.of(descriptor)
+        self.identification = FrictionIdentification(self._joints)
         self._attached: tuple[Attached, ...] = ()
         self._dynamics: Dynamics | None = model.dynamics
         self._samples: deque[_Sample] = deque()
@@ -96,6 +109,14 @@ class CollisionDetection:
         if dynamics is not None and len(samples) > 1:
             self._judge(self._external(dynamics, samples), sample.stamp)
 
+    def identify(self, _: Nothing) -> FrictionEstimate:
+        """The friction in the motions so far. Raises Unavailable if there were too few, or without efforts or inertia."""
+        if self._dynamics is None:
+            raise Unavailable("the URDF does not state the inertia of each link, so friction is not known; add it")
+        if not self._measured:
+            raise Unavailable("the driver reports no efforts, so friction is not known; configure it to report torques")
+        return self.identification.estimate()
+
     def _sample(self, message: JointState) -> _Sample | None:
         """The joints in the descriptor's order; None without efforts, or if one is missing."""
         names = message.joint_names
@@ -113,15 +134,18 @@ class CollisionDetection:
             self._samples.clear()
         return self._dynamics
 
-    @staticmethod
-    def _external(dynamics: Dynamics, samples: deque[_Sample]) -> Array:
+    def _external(self, dynamics: Dynamics, samples: deque[_Sample]) -> Array:
         """The torque (dof,) from outside, a mean over the samples."""
         first, last = samples[0], samples[-1]
         acceleration = (last.velocity - first.velocity) / (last.stamp - first.stamp)
         position, velocity = 0.5 * (first.position + last.position), 0.5 * (first.velocity + last.velocity)
         needed: Array = dynamics.torque(position[None], velocity[None], acceleration[None])[0]
         exerted = sum(sample.effort for sample in list(samples)[1:]) / (len(samples) - 1)
-        return needed - exerted
+        direction: Array = np.mean([direction_of(sample.velocity) for sample in samples], axis=0)
+        unexplained = exerted - needed
+        if self._goal_id is not None:
+            self.identification.add(direction, velocity, unexplained)
+        return self._friction.torque(direction, velocity) - unexplained
 
     def _judge(self, torque: Array, stamp: float) -> None:
         self._largest = np.maximum(self._largest, np.abs(torque))
