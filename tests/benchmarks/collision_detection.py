@@ -1,8 +1,8 @@
 """Collisions felt by the efforts of the joints: `python tests/benchmarks/collision_detection.py [--minutes 60] [--pushes 300] [--force 50]`.
 
-A UR5e with mass and the `industrial` drives (friction, noise, delay) goes from one random configuration to the next, in simulated time. First its friction is
-identified, and its limits are set, as `zarm identify` does after some minutes of motion; with --without-friction, the limits alone. Then it moves for an hour, and every collision that is
-felt is a false alarm. At last, in each motion a force in a random direction pushes the tip from a random moment on. It is noticed if a joint state within
+A UR5e with mass and the `industrial` drives (friction, noise, delay) goes from one random configuration to the next, in simulated time. First the joints are
+identified, and its limits set, as `zarm identify` does after some minutes of motion; with --links-alone, the limits alone. Then it moves for an hour, and every collision that is
+felt while the arm touches nothing is a false alarm. At last, in each motion a force in a random direction pushes the tip from a random moment on. It is noticed if a joint state within
 the time given leads to the message that stops the robot; the time counts from the push. A force that no joint bears with more than its limit, such as
 one along the arm, cannot be noticed and is counted apart.
 """
@@ -15,7 +15,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import count, repeat
+from itertools import count
 from pathlib import Path
 
 from zarm_trajectory.arrays import Array
@@ -26,7 +26,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from zarm_contract.descriptor import JointFriction
+from zarm_cli.identify import limits as suggested_limits
+from zarm_contract.descriptor import StatedJointDynamics
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import ExecutorState, ExternalTorque, JointGoal, JointState, PlanRequest
 from zarm_contract.robot import RobotDescription, load_robot
@@ -44,11 +45,13 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 ROBOT = load_robot("ur5e")
 SPARE = 1.5
-"""Factor from the largest difference seen to the limit."""
+"""Factor from the largest difference seen to the limit, without what the joints need."""
 LEARNING = 5.0
 """Minutes of motion from which the limits come."""
 LOOKED = 0.3
 """How long (s) a push lasts."""
+SETTLING = 500
+"""Steps after the arm was put elsewhere."""
 ATTEMPTS = 50
 """Goals that are tried from one place."""
 
@@ -120,6 +123,8 @@ class Cell:
             attempts += 1
             if attempts == ATTEMPTS:  # it rests too near to itself to be planned for
                 self.arm.displace(np.subtract(ROBOT.descriptor.home, self.position))
+                for _ in range(SETTLING):
+                    self.arm.step()
                 self.time += 1.0
             goal = tuple(self.rng.uniform([-3, -2.6, -2.2, -3, -3, -3], [3, -0.5, 2.2, 3, 3, 3]).tolist())
             try:
@@ -131,22 +136,24 @@ class Cell:
             return TimedTrajectory.of(plan.trajectory, ROBOT.descriptor.joints)
 
 
-def described(limits: Array, friction: JointFriction | None) -> RobotDescription:
-    """The robot with these limits (J,), and its friction."""
-    known = {"external_torque_limits": tuple(limits.tolist()), "friction": friction}
+def described(limits: Array, joints: StatedJointDynamics | None) -> RobotDescription:
+    """The robot with these limits (J,), and what its joints need."""
+    known = {"external_torque_limits": tuple(limits.tolist()), "joint_dynamics": joints}
     execution = ROBOT.descriptor.execution.model_copy(update=known)
     return replace(ROBOT, descriptor=ROBOT.descriptor.model_copy(update={"execution": execution}))
 
 
-def moving(cell: Cell, minutes: float) -> int:
-    """Move for this long; returns how many motions met a collision."""
-    alarms, end = 0, cell.time + 60.0 * minutes
+def moving(cell: Cell, minutes: float) -> tuple[int, int]:
+    """Move for this long; returns in how many motions a collision was felt though nothing touched, and in how many the arm touched itself."""
+    alarms, touches, end = 0, 0, cell.time + 60.0 * minutes
     while cell.time < end:
         cell.felt.clear()
+        touched = False
         for _ in cell.motion():
-            pass
-        alarms += bool(cell.felt)
-    return alarms
+            touched = touched or any(cell.arm.simulation.contacts())
+        alarms += bool(cell.felt) and not touched
+        touches += touched
+    return alarms, touches
 
 
 def pushed(cell: Cell, limits: Array, force: float) -> tuple[float | None, bool]:
@@ -181,30 +188,30 @@ def main() -> None:
     parser.add_argument("--pushes", type=int, default=300)
     parser.add_argument("--force", type=float, default=50.0, help="N")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--without-friction", action="store_true", help="friction counts as torque from outside")
+    parser.add_argument("--links-alone", action="store_true", help="what the joints need counts as torque from outside")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         cell = Cell(Path(name), arguments.seed)
         moving(cell, LEARNING)
-        if arguments.without_friction:
-            friction, limits = None, SPARE * cell.largest
+        found = cell.detection.identification.found()
+        if arguments.links_alone:
+            known, limits = None, SPARE * cell.largest
         else:
-            found = cell.detection.identification.estimate()
-            friction, limits = JointFriction(dry=found.dry, viscous=found.viscous), SPARE * np.array(found.largest)
+            known = StatedJointDynamics(friction=found.friction, damping=found.damping, armature=found.armature)
+            limits = np.array(suggested_limits(found))
         cell.largest = np.zeros(len(limits))
-        cell.detection = cell.detecting(described(limits, friction))
-        alarms = moving(cell, arguments.minutes)
-        joints = Table("joint", "dry friction", "viscous", "limit", "largest in motion (Nm)")
-        known = zip(friction.dry, friction.viscous, strict=True) if friction is not None else repeat((0.0, 0.0))
-        for joint, (dry, viscous), limit, largest in zip(
-            ROBOT.descriptor.joints, known, limits, cell.largest, strict=False
-        ):
-            joints.add_row(joint, f"{dry:.2f}", f"{viscous:.2f}", f"{limit:.1f}", f"{largest:.1f}")
+        cell.detection = cell.detecting(described(limits, known))
+        alarms, touches = moving(cell, arguments.minutes)
+        joints = Table("joint", "friction", "damping", "armature", "limit", "largest in motion (Nm)")
+        for k, joint in enumerate(ROBOT.descriptor.joints):
+            terms = (found.friction[k], found.damping[k], found.armature[k], limits[k], cell.largest[k])
+            joints.add_row(joint, *(f"{term:.2f}" for term in terms))
         pushes = [pushed(cell, limits, arguments.force) for _ in range(arguments.pushes)]
     times = np.array([after for after, noticeable in pushes if noticeable and after is not None])
     noticeable = sum(each for _, each in pushes)
     table = Table("what", "figure")
     table.add_row(f"false alarms in {arguments.minutes:g} min of motion", str(alarms))
+    table.add_row("motions in which the arm touched itself", str(touches))
     table.add_row(
         f"pushes with {arguments.force:g} N that a joint bears with more than its limit",
         f"{noticeable} of {len(pushes)}",

@@ -163,7 +163,7 @@ def test_a_push_is_felt_and_ends_the_motion_in_a_fault(tmp_path: Path) -> None:
         cell.fault()
 
 
-def test_with_identified_friction_a_soft_push_is_felt(tmp_path: Path) -> None:
+def test_with_identified_joints_a_soft_push_is_felt(tmp_path: Path) -> None:
     shutil.copy(ROBOTS / "ur5e.urdf", tmp_path)
     text = (ROBOTS / "ur5e.yaml").read_text(encoding="utf-8")
     there, back = (0.9, -1.2, 1.2, -1.0, -1.0, 0.5), (-0.9, -1.5, 1.5, -1.57, -1.57, -0.5)
@@ -176,7 +176,7 @@ def test_with_identified_friction_a_soft_push_is_felt(tmp_path: Path) -> None:
             identified = run_zarm("identify", "--connect", cell.endpoint)
             if identified.returncode == 0:
                 break
-    assert "friction:" in identified.stdout
+    assert "joint_dynamics:" in identified.stdout
     (tmp_path / "ur5e.yaml").write_text(f"{text}\n{identified.stdout}", encoding="utf-8")
     with cell_of(tmp_path, str(tmp_path / "ur5e.yaml"), with_servo=True) as cell:
         assert cell.robot.execute(cell.robot.plan(there)).status == "succeeded", "friction is no collision"

@@ -527,8 +527,13 @@ EXAMPLES: tuple[Message, ...] = (
         goal_id="goal-1",
         joint="shoulder",
     ),
-    m.FrictionEstimate(
-        joint_names=("elbow", "shoulder"), dry=(3.0, 0.6), viscous=(2.5, 0.5), largest=(2.7, 0.6), states=30_000
+    m.JointDynamics(
+        joint_names=("elbow", "shoulder"),
+        friction=(3.0, 0.6),
+        damping=(2.5, 0.5),
+        armature=(0.38, 0.07),
+        largest=(0.7, 0.2),
+        states=30_000,
     ),
     m.ServoStart(goal_id="jog-1", take_over=True, margin=0.02, velocity_scale=0.5, acceleration_scale=0.25),
     m.ServoEnd(goal_id="jog-1"),

@@ -347,7 +347,7 @@ class Robot(_Twin[zarm.robot.Robot]):
     execute_alongside = _awaited(zarm.robot.Robot.execute_alongside)
     tip = _awaited(zarm.robot.Robot.tip)
     health = _awaited(zarm.robot.Robot.health)
-    friction = _awaited(zarm.robot.Robot.friction)
+    joint_dynamics = _awaited(zarm.robot.Robot.joint_dynamics)
     pick = _awaited(zarm.robot.Robot.pick)
     place = _awaited(zarm.robot.Robot.place)
     goal_states = _iterated(zarm.robot.Robot.goal_states)

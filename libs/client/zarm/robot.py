@@ -107,7 +107,7 @@ class Robot(Calls):
     joint_states = _short(_executor, Executor.joint_states)
     track = cast("Track", _short(_servo, Servo.track))
     jog = _short(_servo, Servo.jog)
-    friction = _short(_servo, Servo.friction)
+    joint_dynamics = _short(_servo, Servo.joint_dynamics)
     pick = _short(_grasping, Grasping.pick)
     place = _short(_grasping, Grasping.place)
 

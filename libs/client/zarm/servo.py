@@ -10,7 +10,7 @@ from zarm.calls import Calls
 from zarm.connection import ANSWER_SECONDS, Connection
 from zarm.values import made
 from zarm_contract.errors import ZarmError
-from zarm_contract.messages import FrictionEstimate, Nothing, ServoStart
+from zarm_contract.messages import JointDynamics, Nothing, ServoStart
 
 if TYPE_CHECKING:
     from zarm.servoing import ChunkTracking, Jogging, Tracking
@@ -98,11 +98,11 @@ class Servo(Calls):
         with self._session(Jogging, options) as jogging:
             yield jogging
 
-    def friction(self, *, timeout: float = ANSWER_SECONDS) -> FrictionEstimate:
-        """The friction of the joints, identified from the efforts in their motions since the servo began. Raises Unavailable without efforts, without the
-        inertia of each link in the URDF, or before there has been enough motion.
+    def joint_dynamics(self, *, timeout: float = ANSWER_SECONDS) -> JointDynamics:
+        """The friction of the joints and the inertia of their motors, identified from the efforts in the motions since the servo began. Raises Unavailable
+        without efforts, without the inertia of each link in the URDF, or before there has been enough motion.
         """
-        return self._ask(self._keys.friction, Nothing(), timeout=timeout)
+        return self._ask(self._keys.joint_dynamics, Nothing(), timeout=timeout)
 
     @contextmanager
     def _session(self, kind: Callable[[Connection, ServoStart], S], options: SessionOptions) -> Iterator[S]:

@@ -47,15 +47,17 @@ class ToolSpeeds(Section):
 FaultPolicy = Literal["latch", "clear_at_rest"]
 
 
-class JointFriction(Section):
-    """The friction of the joints, in the order of `joints`, as `zarm identify` finds it. That of the URDF (`dynamics`) is not read: it mostly makes simulations
-    stable.
+class StatedJointDynamics(Section):
+    """What the joints need beside the links, in the order of `joints`, as `zarm identify` finds it. That of the URDF (`dynamics`) is not read: it mostly
+    makes simulations stable.
     """
 
-    dry: Annotated[tuple[NonNegative, ...], Field(min_length=1, max_length=64)]
-    """Of a joint that moves, however slowly (Nm; N if prismatic)."""
-    viscous: Annotated[tuple[NonNegative, ...], Field(min_length=1, max_length=64)]
+    friction: Annotated[tuple[NonNegative, ...], Field(min_length=1, max_length=64)]
+    """Dry friction, of a joint that moves, however slowly (Nm; N if prismatic)."""
+    damping: Annotated[tuple[NonNegative, ...], Field(min_length=1, max_length=64)]
     """What comes to that at 1 rad/s (Nm; N at 1 m/s if prismatic)."""
+    armature: Annotated[tuple[NonNegative, ...], Field(min_length=1, max_length=64)]
+    """The inertia of the motors, seen through the gears (kg m²; kg if prismatic)."""
 
 
 class ExecutionSettings(Section):
@@ -97,9 +99,9 @@ class ExecutionSettings(Section):
     faults: FaultPolicy = "latch"
     """How a fault is left. `latch`: by `reset` alone. `clear_at_rest`: also by the next goal, once the robot rests and reports its joints. A robot that did not stop when it was told to needs a `reset` either way."""
 
-    friction: JointFriction | None = None
-    """The friction of the joints, which counts as what a motion needs. Left out: friction counts as torque from outside, and `external_torque_limits`
-    have to be wider than it."""
+    joint_dynamics: StatedJointDynamics | None = None
+    """The friction of the joints and the inertia of their motors, which count as what a motion needs. Left out: they count as torque from
+    outside, and `external_torque_limits` have to be wider than they are."""
     external_torque_limits: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=64)] | None = None
     """How much the measured effort of each joint may differ from what its motion needs (Nm; N if prismatic): beyond that something pushes the robot,
     and the motion ends in a fault. The servo compares them; it needs the inertia of each link in the URDF, and a driver that reports
@@ -283,8 +285,8 @@ class RobotDescriptor(Section):
         }
         if self.execution.external_torque_limits is not None:
             vectors["execution.external_torque_limits"] = self.execution.external_torque_limits
-        if (friction := self.execution.friction) is not None:
-            vectors |= {"execution.friction.dry": friction.dry, "execution.friction.viscous": friction.viscous}
+        if (stated := self.execution.joint_dynamics) is not None:
+            vectors |= {f"execution.joint_dynamics.{term}": getattr(stated, term) for term in type(stated).model_fields}
         faults = ["joints: a name appears twice"] if len(set(self.joints)) != count else []
         faults += [
             f"{name}: {len(vector)} values for {count} joints"

@@ -37,7 +37,6 @@ from zarm_contract.messages import (
     ExternalTorque,
     FkPoses,
     FkRequest,
-    FrictionEstimate,
     GoalState,
     GoalTrajectory,
     GripperCancel,
@@ -49,6 +48,7 @@ from zarm_contract.messages import (
     ImageHeader,
     InverseDynamics,
     InverseDynamicsRequest,
+    JointDynamics,
     JointState,
     LoadedMap,
     LoadWorld,
@@ -355,11 +355,11 @@ class Keys:
         "servo/state", ServoState, "What the servo does, and in which scene.", of="servo", recorded="changes"
     )
 
-    friction = Query(
-        "servo/friction",
+    joint_dynamics = Query(
+        "servo/joint_dynamics",
         Nothing,
-        FrictionEstimate,
-        "The friction of the joints, identified from their motions since the servo began.",
+        JointDynamics,
+        "The friction of the joints and the inertia of their motors, identified from the motions since the servo began.",
         to="servo",
         by=EVERYONE,  # it only reads
     )

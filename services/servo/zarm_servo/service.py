@@ -98,7 +98,7 @@ def start(service: Service) -> Iterator[None]:
         with world.reading(bus, keys), guard, replanner:
             bus.serve(keys.servo_start, sessions.start)
             bus.serve(keys.servo_end, sessions.end)
-            bus.serve(keys.friction, detection.identify)
+            bus.serve(keys.joint_dynamics, detection.identify)
             command_bus.serve(keys.servo_chunk, sessions.take, workers=1)
             bus.listen(keys.object_pose("*"), world.moving.receive)
             command_bus.subscribe(keys.driver_joint_states, detection.on_joints)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from zarm_contract.descriptor import JointFriction
+from zarm_contract.descriptor import StatedJointDynamics
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import (
     Attached,
@@ -34,13 +34,15 @@ PUSH = np.array([0.0, 0.0, -60.0])
 """N, on the tip."""
 
 
-FRICTION = JointFriction(dry=(15.0, 15.0, 15.0, 3.0, 3.0, 3.0), viscous=(15.0, 15.0, 15.0, 3.0, 3.0, 3.0))
+JOINTS = StatedJointDynamics(
+    friction=(15.0, 15.0, 15.0, 3.0, 3.0, 3.0), damping=(15.0, 15.0, 15.0, 3.0, 3.0, 3.0), armature=(0.0,) * 6
+)
 
 
 def limited(
-    robot: RobotDescription, limits: Sequence[float] | None = LIMITS, friction: JointFriction | None = None
+    robot: RobotDescription, limits: Sequence[float] | None = LIMITS, joints: StatedJointDynamics | None = None
 ) -> RobotModel:
-    known = {"external_torque_limits": limits, "friction": friction}
+    known = {"external_torque_limits": limits, "joint_dynamics": joints}
     execution = robot.descriptor.execution.model_copy(update=known)
     return RobotModel.of(replace(robot, descriptor=robot.descriptor.model_copy(update={"execution": execution})))
 
@@ -95,7 +97,7 @@ def pushed(t: float, q: Array) -> Array:
 def rubbed(t: float, q: Array) -> Array:
     """The friction of the joints, in the motion of `move`."""
     velocity = 0.6 * np.cos(2.0 * t)
-    return -(np.sign(velocity) * np.array(FRICTION.dry) + velocity * np.array(FRICTION.viscous))
+    return -(np.sign(velocity) * np.array(JOINTS.friction) + velocity * np.array(JOINTS.damping))
 
 
 def test_a_motion_as_the_model_says_is_no_collision() -> None:
@@ -163,20 +165,20 @@ def test_after_a_gap_old_samples_are_not_used() -> None:
 
 def test_stated_friction_is_no_collision() -> None:
     for known in (True, False):
-        felt = Felt(limited(UR5E, friction=FRICTION if known else None))
+        felt = Felt(limited(UR5E, joints=JOINTS if known else None))
         felt.move(3.0, rubbed)
         assert bool(felt.collisions()) is not known
 
 
-def test_identified_friction_is_that_of_the_joints() -> None:
+def test_what_is_identified_is_the_friction_of_the_joints() -> None:
     felt = Felt(limited(UR5E, None))
     felt.move(12.0, rubbed)
     found = felt.detection.identify(Nothing())
-    np.testing.assert_allclose(found.dry, FRICTION.dry, atol=0.5)
-    np.testing.assert_allclose(found.viscous, FRICTION.viscous, atol=0.9)
+    np.testing.assert_allclose(found.friction, JOINTS.friction, rtol=0.15)
+    np.testing.assert_allclose(found.damping, JOINTS.damping, rtol=0.25)
 
 
-def test_friction_at_rest_is_not_identified() -> None:
+def test_nothing_is_identified_at_rest() -> None:
     felt = Felt(limited(UR5E, None))
     felt.run(None)
     felt.move(12.0, rubbed)

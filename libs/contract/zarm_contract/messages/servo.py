@@ -247,14 +247,16 @@ class ExternalTorque(ShortMessage):
     joint: Name | None = None
 
 
-class FrictionEstimate(Message):
-    """The friction of the joints, identified from measured efforts (Nm; N if prismatic): `dry` while a joint moves, and `viscous` at 1 rad/s. It comes
-    from `states` joint states of motions, the last five minutes at 100 Hz. With it, each joint differed by at most `largest` from what its motion needed.
+class JointDynamics(Message):
+    """What the joints need beside the links, identified from measured efforts: dry `friction` (Nm; N if prismatic), `damping` (Nm s/rad; N s/m) and
+    `armature`, the inertia of the motors seen through the gears (kg m²; kg). It comes from `states` joint states of motions, the last five minutes
+    at 100 Hz. With it, each joint differed by at most `largest` (Nm; N) from what its motion needed.
     """
 
     joint_names: JointNames
-    dry: Joints
-    viscous: Joints
+    friction: Joints
+    damping: Joints
+    armature: Joints
     largest: Joints
     states: int
 

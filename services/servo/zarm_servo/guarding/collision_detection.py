@@ -16,13 +16,13 @@ from zarm_contract.messages import (
     CollisionDetectionState,
     ExecutorState,
     ExternalTorque,
-    FrictionEstimate,
     JointState,
     Nothing,
 )
+from zarm_contract.messages import JointDynamics as JointDynamicsMessage
 from zarm_geometry.dynamics import Dynamics
 from zarm_geometry.robot_model import RobotModel
-from zarm_servo.guarding.friction import Friction, FrictionIdentification, direction_of
+from zarm_servo.guarding.joint_dynamics import Identification, JointDynamics, Moving
 from zarm_servo.world.scene_monitor import SceneMonitor
 from zarm_trajectory.arrays import Array
 
@@ -47,8 +47,8 @@ class _Sample(NamedTuple):
 class CollisionDetection:
     """Watches the joint states of the driver. Messages of one kind come one at a time.
 
-    The torque from outside is that of the inverse dynamics, with everything that the robot carries, and of the friction that the descriptor states, less the measured effort; the
-    acceleration is the change of the measured velocity over `_SPAN`, as in a momentum observer (De Luca and Mattone, 2003). Other friction counts as
+    The torque from outside is that of the inverse dynamics, with everything that the robot carries, and of the friction and the motors that the descriptor states, less the measured effort; the
+    acceleration is the change of the measured velocity over `_SPAN`, as in a momentum observer (De Luca and Mattone, 2003). What it does not state counts as
     torque from outside; `identification` finds it.
     `changed` is called when `state` has changed.
     """
@@ -65,8 +65,8 @@ class CollisionDetection:
         self._joints = descriptor.joints
         limits = descriptor.execution.external_torque_limits
         self._limits = None if limits is None else np.array(limits)
-        self._friction = Friction.of(descriptor)
-        self.identification = FrictionIdentification(self._joints)
+        self._joint_dynamics = JointDynamics.of(descriptor)
+        self.identification = Identification(self._joints)
         self._attached: tuple[Attached, ...] = ()
         self._dynamics: Dynamics | None = model.dynamics
         self._samples: deque[_Sample] = deque()
@@ -109,13 +109,17 @@ class CollisionDetection:
         if dynamics is not None and len(samples) > 1:
             self._judge(self._external(dynamics, samples), sample.stamp)
 
-    def identify(self, _: Nothing) -> FrictionEstimate:
-        """The friction in the motions so far. Raises Unavailable if there were too few, or without efforts or inertia."""
+    def identify(self, _: Nothing) -> JointDynamicsMessage:
+        """The joint dynamics in the motions so far. Raises Unavailable if there were too few, or without efforts or inertia."""
         if self._dynamics is None:
-            raise Unavailable("the URDF does not state the inertia of each link, so friction is not known; add it")
+            raise Unavailable(
+                "the URDF does not state the inertia of each link, which it takes to identify joints; add it"
+            )
         if not self._measured:
-            raise Unavailable("the driver reports no efforts, so friction is not known; configure it to report torques")
-        return self.identification.estimate()
+            raise Unavailable(
+                "the driver reports no efforts, which it takes to identify joints; configure it to report torques"
+            )
+        return self.identification.found()
 
     def _sample(self, message: JointState) -> _Sample | None:
         """The joints in the descriptor's order; None without efforts, or if one is missing."""
@@ -141,11 +145,10 @@ class CollisionDetection:
         position, velocity = 0.5 * (first.position + last.position), 0.5 * (first.velocity + last.velocity)
         needed: Array = dynamics.torque(position[None], velocity[None], acceleration[None])[0]
         exerted = sum(sample.effort for sample in list(samples)[1:]) / (len(samples) - 1)
-        direction: Array = np.mean([direction_of(sample.velocity) for sample in samples], axis=0)
-        unexplained = exerted - needed
+        moving, excess = Moving.over(np.array([sample.velocity for sample in samples]), acceleration), exerted - needed
         if self._goal_id is not None:
-            self.identification.add(direction, velocity, unexplained)
-        return self._friction.torque(direction, velocity) - unexplained
+            self.identification.add(moving, excess)
+        return -self._joint_dynamics.unexplained(excess, moving)
 
     def _judge(self, torque: Array, stamp: float) -> None:
         self._largest = np.maximum(self._largest, np.abs(torque))

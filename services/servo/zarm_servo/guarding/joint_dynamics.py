@@ -1,0 +1,110 @@
+"""What the joints need beside the links: friction, and the inertia of their motors."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from zarm_contract.descriptor import RobotDescriptor
+from zarm_contract.errors import Unavailable
+from zarm_contract.messages import JointDynamics as JointDynamicsMessage
+from zarm_trajectory.arrays import Array, Single
+
+_SLOW = 0.05
+"""A joint slower than this (rad/s, m/s) may be about to turn round, or stick: how much of its friction acts, and in which direction, is not sure."""
+KEPT = 30_000
+"""Joint states from which the joints are identified: five minutes at 100 Hz."""
+LEAST = 1_000
+"""From fewer they are not identified."""
+
+
+class Moving(NamedTuple):
+    """How joints move over some joint states: their `direction` (J,), from -1 to 1, the share of the friction that is `sure` (J,), their `velocity` (J,) and
+    `acceleration` (J,); or many of each, (n, J).
+    """
+
+    direction: Array
+    sure: Array
+    velocity: Array
+    acceleration: Array
+
+    @classmethod
+    def over(cls, velocities: Array, acceleration: Array) -> Self:
+        """Over joint states with these velocities (n, J)."""
+        directions: Array = np.tanh(velocities / _SLOW)
+        return cls(
+            directions.mean(axis=0),
+            np.abs(directions).min(axis=0),
+            0.5 * (velocities[0] + velocities[-1]),
+            acceleration,
+        )
+
+
+class JointDynamics(NamedTuple):
+    """Dry `friction` (J,) in Nm, `damping` (J,) in Nm s/rad, and `armature` (J,) in kg m²; N, N s/m and kg if prismatic."""
+
+    friction: Array
+    damping: Array
+    armature: Array
+
+    @classmethod
+    def of(cls, descriptor: RobotDescriptor) -> Self:
+        """What a descriptor states, else none."""
+        stated, none = descriptor.execution.joint_dynamics, np.zeros(len(descriptor.joints))
+        if stated is None:
+            return cls(none, none, none)
+        return cls(np.array(stated.friction), np.array(stated.damping), np.array(stated.armature))
+
+    def unexplained(self, excess: Array, moving: Moving) -> Array:
+        """What remains (J,) of an `excess` (J,) of the efforts over what the links need: the least that it can be, whatever part of the friction acts."""
+        needed = self.friction * moving.direction + self.damping * moving.velocity + self.armature * moving.acceleration
+        rest, unsure = excess - needed, self.friction * (1.0 - moving.sure)
+        remaining: Array = rest - np.clip(rest, -unsure, unsure)
+        return remaining
+
+
+class Identification:
+    """Finds the joint dynamics that explain best, by least squares, what the efforts exceed the needs of the links by. It keeps the last `KEPT` states."""
+
+    def __init__(self, joints: tuple[str, ...]) -> None:
+        self._joints = joints
+        self._states: Single = np.empty((KEPT, 5, len(joints)), dtype=np.float32)
+        self._count = 0
+
+    def add(self, moving: Moving, excess: Array) -> None:
+        """Take a state of a motion, and what the efforts (J,) exceed the needs of the links by."""
+        self._states[self._count % KEPT] = *moving, excess
+        self._count += 1
+
+    def found(self) -> JointDynamicsMessage:
+        """The joint dynamics in the states so far. Raises Unavailable for too few."""
+        states = self._states[: min(self._count, KEPT)].astype(float)
+        if len(states) < LEAST:
+            raise Unavailable(
+                f"{len(states)} joint states of motions are too few to identify the joints, it takes {LEAST}; let the robot make the motions of its work"
+            )
+        moving, excess = Moving(*(states[:, k] for k in range(4))), states[:, 4]
+        terms = np.stack((moving.direction, moving.velocity, moving.acceleration), axis=-1)
+        fitted = JointDynamics(*np.array([_fitted(terms[:, j], excess[:, j]) for j in range(len(self._joints))]).T)
+        largest = np.abs(fitted.unexplained(excess, moving)).max(axis=0)
+        friction, damping, armature, rest = (tuple(np.round(each, 3).tolist()) for each in (*fitted, largest))
+        return JointDynamicsMessage(
+            joint_names=self._joints,
+            friction=friction,
+            damping=damping,
+            armature=armature,
+            largest=rest,
+            states=len(states),
+        )
+
+
+def _fitted(terms: Array, torque: Array) -> Array:
+    """The factors (3,) of the terms (n, 3), none of them negative, that explain a torque (n,) best."""
+    kept = np.ones(3, dtype=bool)
+    while True:
+        factors = np.zeros(3)
+        factors[kept] = np.linalg.lstsq(terms[:, kept], torque, rcond=1e-3)[0]
+        if factors.min() >= 0.0:
+            return factors
+        kept[int(factors.argmin())] = False
