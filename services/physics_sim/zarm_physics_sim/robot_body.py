@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
+import numpy as np
 
 from zarm_contract.messages import Vector3
 from zarm_contract.robot import RobotDescription
 from zarm_contract.urdf import Inertial, Joint
 from zarm_physics_sim.shapes import link_geom, of_rpy
+from zarm_trajectory.arrays import Array
 
+LINK = "link "
+SEEN, UNSEEN = 0, 3
+"""Groups of geoms: what is rendered, and what is not."""
 _LEAST_MASS = 1e-6
 _LEAST_INERTIA = 1e-9
 """Of a link that has neither geometry nor a stated inertia (kg, kg m²)."""
@@ -20,15 +26,27 @@ _POINT = (_LEAST_INERTIA, _LEAST_INERTIA, _LEAST_INERTIA, 0.0, 0.0, 0.0)
 """Of a mass in a point."""
 
 
+def link_body(link: str) -> str:
+    """The name of the body of a link: MuJoCo has a body `world`, as many robots have a link."""
+    return LINK + link
+
+
 def payload_name(link: str) -> str:
     """The body of what is mounted on a link."""
     return f"payload of {link}"
 
 
-def add_robot(spec: mujoco.MjSpec, robot: RobotDescription, inertials: dict[str, Inertial], density: float) -> None:
-    """Add the links with their exact geometry; those without an inertial get a `density` (kg/m³).
+def add_robot(
+    spec: mujoco.MjSpec,
+    robot: RobotDescription,
+    inertials: dict[str, Inertial],
+    density: float,
+    looks: Mapping[str, Array],
+) -> None:
+    """Add the links with their exact geometry; those without an inertial get a `density` (kg/m³). What cameras see of a link are its triangles (n, 3, 3)
+    in `looks`, else that geometry.
 
-    Bodies and joints have their names in the URDF. The joints of the arm and those of the grippers move within their
+    Joints have their names in the URDF. The joints of the arm and those of the grippers move within their
     limits; what follows a gripper's joint is held to it.
     """
     descriptor, urdf = robot.descriptor, robot.urdf
@@ -45,12 +63,14 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotDescription, inertials: dict[str,
 
     def add(parent: Any, link: str, joint: Joint | None) -> None:
         pose = {} if joint is None else {"pos": list(joint.xyz), "quat": of_rpy(joint.rpy)}
-        body = parent.add_body(name=link, **pose)
+        body = parent.add_body(name=link_body(link), **pose)
         if joint is not None and joint.name in moving:
             _add_joint(body, joint)
         shapes = descriptor.collision.get(link, ())
         for shape in shapes:
-            body.add_geom(density=density, **link_geom(shape))
+            body.add_geom(density=density, group=UNSEEN if link in looks else SEEN, **link_geom(shape))
+        if link in looks:
+            _add_look(spec, body, link, looks[link])
         if (inertial := inertials.get(link)) is not None:
             _set_inertia(body, inertial.mass, inertial.xyz, of_rpy(inertial.rpy), inertial.inertia)
         elif not shapes:
@@ -62,7 +82,7 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotDescription, inertials: dict[str,
 
     add(spec.worldbody, descriptor.base_link, None)
     for one, other in descriptor.self_collision_ignore:
-        spec.add_exclude(bodyname1=one, bodyname2=other)
+        spec.add_exclude(bodyname1=link_body(one), bodyname2=link_body(other))
     for name, (driver, multiplier, offset) in followers.items():
         spec.add_equality(
             type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=name, name2=driver,
@@ -74,6 +94,13 @@ def add_mass(body: Any, name: str, mass: float, center: Vector3) -> None:
     """Add a `mass` (kg) to a body, as a point at its `center` (m)."""
     mounted = body.add_body(name=name, pos=list(center))
     _set_inertia(mounted, mass, (0.0, 0.0, 0.0), [1.0, 0.0, 0.0, 0.0], _POINT)
+
+
+def _add_look(spec: mujoco.MjSpec, body: Any, link: str, triangles: Array) -> None:
+    corners = np.arange(3 * len(triangles), dtype=np.int32)
+    shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # it need not enclose a volume
+    mesh = spec.add_mesh(name=f"look of {link}", uservert=triangles.ravel(), userface=corners, inertia=shell)
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, group=SEEN, contype=0, conaffinity=0, mass=0.0)
 
 
 def _add_joint(body: Any, joint: Joint) -> None:

@@ -14,7 +14,8 @@ from zarm_contract.gripper import Gripper
 from zarm_contract.messages import Attached, Quaternion, Vector3
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.inertia import stances, stated_limits, usable_inertials
-from zarm_physics_sim.robot_body import add_mass, add_robot, payload_name
+from zarm_physics_sim.looks import looks_of
+from zarm_physics_sim.robot_body import LINK, UNSEEN, add_mass, add_robot, link_body, payload_name
 from zarm_physics_sim.shapes import wxyz
 from zarm_physics_sim.world import World, add_object, body_name, is_object, object_name
 from zarm_trajectory.arrays import Array
@@ -25,6 +26,8 @@ _STIFF = (4.0 * STEP, 1.0)
 """Time constant (s) and damping of contacts: hard, so that light fingers do not sink into what they hold."""
 _ACCELERATION = 400.0
 """The acceleration (rad/s²) of a motor with its gear alone, by the largest torque: so much inertia has its rotor."""
+_VISIBLE = np.array([group < UNSEEN for group in range(mujoco.mjNGROUP)], dtype=np.uint8)
+"""The groups of geoms that are seen."""
 _MORE_GEOMS = 100
 """What a renderer may draw besides the bodies."""
 _FINGER_ARMATURE = 0.05
@@ -96,7 +99,7 @@ class Simulation:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # what is held slides less
         spec.option.impratio = 10.0
-        add_robot(spec, robot, inertials, density)
+        add_robot(spec, robot, inertials, density, looks_of(robot.urdf_path))
         world.add_to(spec)
         # A tool's mass is that of one of its shapes.
         self._weighed = {item.tool for item in carried if item.tool is not None and item.mass is not None}
@@ -108,7 +111,7 @@ class Simulation:
         walking = [name for walk in world.walks for name in walk.names]
         self._mocap = {name: self._model.body(body_name(name)).mocapid[0] for name in walking}
         self._places = {name: np.array(world.objects[name].position) for name in walking}
-        self._tip = self._model.body(robot.descriptor.tip_link).id
+        self._tip = self._model.body(link_body(robot.descriptor.tip_link)).id
         self._joints = _Joints.of(self._model, robot.descriptor.joints)
         grippers = robot.descriptor.grippers.values()
         self.fingers = tuple(
@@ -142,11 +145,11 @@ class Simulation:
             self._welds.append(item)
             thing = body_name(item.object.name)
             kind, bodies = mujoco.mjtEq.mjEQ_WELD, mujoco.mjtObj.mjOBJ_BODY
-            spec.add_equality(name=thing, type=kind, objtype=bodies, name1=link, name2=thing)
+            spec.add_equality(name=thing, type=kind, objtype=bodies, name1=link_body(link), name2=thing)
             return
         weightless = item.center is not None or item.tool in self._weighed
         body = add_object(
-            spec.body(link),
+            spec.body(link_body(link)),
             item.object,
             None,
             0.0 if weightless else self._density,
@@ -155,7 +158,7 @@ class Simulation:
         if item.mass is not None and item.center is not None:
             add_mass(body, payload_name(body.name), item.mass, item.center)
         for touched in {link, *item.touch_links}:
-            spec.add_exclude(bodyname1=touched, bodyname2=body.name)
+            spec.add_exclude(bodyname1=link_body(touched), bodyname2=body.name)
 
     def _gripped(self, item: Attached) -> bool:
         """Whether an attached object is between the fingers of a gripper, which hold it by friction."""
@@ -197,7 +200,7 @@ class Simulation:
     def _weld(self, item: Attached) -> None:
         """Hold a thing where it is in the frame of its link."""
         link, thing = (
-            self._data.body(item.link or self.robot.descriptor.tip_link),
+            self._data.body(link_body(item.link or self.robot.descriptor.tip_link)),
             self._data.body(body_name(item.object.name)),
         )
         back, turn, place = np.zeros(4), np.zeros(4), np.zeros(3)
@@ -300,7 +303,7 @@ class Simulation:
         mujoco.mju_quat2Mat(turn, np.array(wxyz(orientation)))
         if link is None or link == self.robot.descriptor.base_link:
             return np.array(position), turn.reshape(3, 3)
-        body = data.body(link)
+        body = data.body(link_body(link))
         carried = body.xmat.reshape(3, 3)
         return np.asarray(body.xpos + carried @ position), np.asarray(carried @ turn.reshape(3, 3))
 
@@ -308,7 +311,7 @@ class Simulation:
         """How far (n,) in m each of the `rays` (n, 3), unit vectors, gets from `place` (3,) in the state `data`: -1 where it meets nothing up to `cutoff`."""
         distances, met = np.full(len(rays), -1.0), np.full(len(rays), -1, np.int32)
         mujoco.mj_multiRay(
-            self._model, data, place, rays.ravel(), None, True, -1, met, distances, None, len(rays), cutoff
+            self._model, data, place, rays.ravel(), _VISIBLE, True, -1, met, distances, None, len(rays), cutoff
         )
         return distances
 
@@ -340,7 +343,7 @@ class Simulation:
 
     def _name(self, geom: int) -> str:
         body = self._model.geom_bodyid[geom]
-        return "floor" if body == 0 else object_name(self._model.body(body).name)
+        return "floor" if body == 0 else object_name(self._model.body(body).name.removeprefix(LINK))
 
 
 @dataclass(frozen=True)

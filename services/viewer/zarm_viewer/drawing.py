@@ -18,6 +18,8 @@ from viser.transforms import SE3
 from zarm_contract.collision import CollisionCapsule, CollisionCuboid, CollisionCylinder, CollisionPrimitive
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, Mesh, SceneObject, Sphere, Voxels
 from zarm_geometry import mesh_files
+from zarm_geometry.visual_meshes import file_triangles
+from zarm_trajectory.arrays import Array
 from zarm_viewer.kinematics import pose_of
 
 Colour = tuple[int, int, int]
@@ -82,26 +84,18 @@ def link_mesh(primitives: Sequence[CollisionPrimitive]) -> trimesh.Trimesh:
     return cast(trimesh.Trimesh, trimesh.util.concatenate(meshes))
 
 
-def file_mesh(file: Path, scale: tuple[float, float, float]) -> trimesh.Trimesh:
-    """The triangles of a file in m, times `scale`. Raises ValueError and OSError if it cannot be read."""
-    try:
-        read = mesh_files.read(file.name, file.read_bytes(), lambda name: (file.parent / name).read_bytes())
-    except mesh_files.Unreadable as error:
-        raise ValueError(f"{file} cannot be read: {error}") from error
-    return _in_metres(read.triangles, scale)
-
-
 def held_mesh(name: str, content: bytes, scale: tuple[float, float, float]) -> trimesh.Trimesh:
-    """The same of the content of a file of this name."""
+    """The triangles of a file with this content in m, times `scale`. Raises ValueError if it cannot be read."""
     try:
         read = mesh_files.read(name, content)
     except mesh_files.Unreadable as error:
         raise ValueError(f"{name} cannot be read: {error}") from error
-    return _in_metres(read.triangles, scale)
+    return surface(read.triangles * scale)
 
 
-def _in_metres(triangles: NDArray[np.float64], scale: tuple[float, float, float]) -> trimesh.Trimesh:
-    points = triangles.reshape(-1, 3) * scale
+def surface(triangles: Array) -> trimesh.Trimesh:
+    """The mesh of some triangles (n, 3, 3), in m."""
+    points = triangles.reshape(-1, 3)
     return _edged(trimesh.Trimesh(points, np.arange(len(points)).reshape(-1, 3), process=False))
 
 
@@ -170,7 +164,7 @@ def _draw_mesh(brush: Brush, name: str, item: Mesh, at: SE3, meshes: tuple[Path,
         file = (folder / item.file).resolve()
         if file.is_relative_to(folder.resolve()) and file.is_file():
             try:
-                return brush.mesh(name, file_mesh(file, item.scale), at)
+                return brush.mesh(name, surface(file_triangles(file, item.scale)), at)
             except (ValueError, OSError):
                 return None
     return None

@@ -15,7 +15,7 @@ from zarm_contract.robot import load_robot
 from zarm_geometry.dynamics import Dynamics
 from zarm_geometry.inertia import usable_inertials
 from zarm_geometry.robot_model import RobotModel
-from zarm_physics_sim.robot_body import add_robot
+from zarm_physics_sim.robot_body import add_robot, link_body
 from zarm_physics_sim.simulation import Simulation
 from zarm_physics_sim.world import World
 from zarm_trajectory.arrays import Array
@@ -32,9 +32,9 @@ class Peer:
         spec = mujoco.MjSpec()
         spec.compiler.degree, spec.compiler.autolimits = False, False
         spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-        add_robot(spec, robot, usable_inertials(robot)[0], 1000.0)
+        add_robot(spec, robot, usable_inertials(robot)[0], 1000.0, {})
         if mass > 0.0:
-            body = spec.body(robot.descriptor.tip_link).add_body(name="load", pos=list(LOAD.position))
+            body = spec.body(link_body(robot.descriptor.tip_link)).add_body(name="load", pos=list(LOAD.position))
             body.explicitinertial, body.mass, body.ipos = True, mass, [0.0, 0.0, 0.0]
             body.inertia = [mass * 0.1**2 / 6] * 3
         self._model = spec.compile()

@@ -222,3 +222,14 @@ def test_time_passes_in_steps_of_a_millisecond() -> None:
     simulation = Simulation(UR5E, EMPTY, home(UR5E))
     pass_time(arm_in(simulation), 0.25)
     assert simulation.time == pytest.approx(0.25, abs=STEP / 2)
+
+
+def test_a_robot_may_have_a_link_named_world(tmp_path: Path) -> None:
+    for suffix in ("urdf", "yaml"):
+        text = Path(UR5E.urdf_path).with_suffix(f".{suffix}").read_text(encoding="utf-8")
+        (tmp_path / f"ur5e.{suffix}").write_text(text.replace("base_link", "world"), encoding="utf-8")
+    text = (tmp_path / "ur5e.yaml").read_text(encoding="utf-8")
+    (tmp_path / "ur5e.yaml").write_text(text.replace("world:", "base_link:", 1), encoding="utf-8")
+    robot = load_robot(str(tmp_path / "ur5e.yaml"))
+    assert robot.descriptor.base_link == "world"
+    np.testing.assert_allclose(Simulation(robot, EMPTY, home(robot)).bias, Simulation(UR5E, EMPTY, home(UR5E)).bias)

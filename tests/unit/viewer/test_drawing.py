@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from zarm_contract.messages import Mesh, SceneObject, Sphere
 from zarm_contract.robot import load_robot
-from zarm_viewer.drawing import file_mesh, link_mesh
+from zarm_geometry.visual_meshes import file_triangles
+from zarm_viewer.drawing import link_mesh, surface
 from zarm_viewer.objects_panel import _resized, _size
 
 Points = NDArray[np.float64]
@@ -23,14 +24,14 @@ def test_a_collada_mesh_is_drawn_in_metres_whatever_its_unit(tmp_path: Path) -> 
     file = tmp_path / "box.dae"
     written = trimesh.creation.box((10.0, 20.0, 30.0)).export(file_type="dae").decode()
     file.write_text(re.sub(r"<asset>", '<asset><unit name="centimeter" meter="0.01"/>', written))
-    assert np.allclose(file_mesh(file, (1.0, 1.0, 2.0)).extents, (0.1, 0.2, 0.6))
+    assert np.allclose(surface(file_triangles(file, (1.0, 1.0, 2.0))).extents, (0.1, 0.2, 0.6))
 
 
 def test_a_file_that_is_no_mesh_is_said_to_be_unreadable(tmp_path: Path) -> None:
     for name in ("broken.dae", "broken.stl"):
         (tmp_path / name).write_text("no mesh")
         with pytest.raises(ValueError, match="cannot be read"):
-            file_mesh(tmp_path / name, (1.0, 1.0, 1.0))
+            file_triangles(tmp_path / name, (1.0, 1.0, 1.0))
 
 
 @pytest.mark.parametrize(
