@@ -22,7 +22,7 @@ from rich.table import Table
 from support.harness import eventually
 from support.seeing_cell import BACK, FLOOR, FRONT, MODEL, SIDE, THERE, UR5E, Cell, cell_of
 from zarm_contract.messages import Cuboid, Plan
-from zarm_geometry import rows
+from zarm_geometry import packed_shapes
 from zarm_perception.robot_shape import RobotShapes
 
 SCALE = 0.3
@@ -47,7 +47,9 @@ class Boxes:
         self._positions = np.array(plan.trajectory.position)[every]
         self._boxes = [self._drawn(rng) for _ in range(CANDIDATES)]
         parts = [RobotShapes(MODEL).at(there).parts for there in self._positions]
-        self._distances = np.array([[rows.distances(_points(box), one).min() for one in parts] for box in self._boxes])
+        self._distances = np.array(
+            [[packed_shapes.distances(_points(box), one).min() for one in parts] for box in self._boxes]
+        )
 
     def ahead(self, position: tuple[float, ...]) -> Cuboid | None:
         """One that is 10 cm from wherever the robot can be when it appears; None if there is none."""
@@ -79,7 +81,7 @@ def time_to(box: Cuboid, plan: Plan, position: tuple[float, ...]) -> tuple[float
     limits = UR5E.descriptor.cspace
     braking = (velocity[now] / limits.acceleration + np.divide(limits.acceleration, limits.jerk)).max()
     for time_there, there in zip(times[now:], positions[now:], strict=True):
-        if rows.distances(_points(box), RobotShapes(MODEL).at(there).parts).min() < 0.002:
+        if packed_shapes.distances(_points(box), RobotShapes(MODEL).at(there).parts).min() < 0.002:
             return float(time_there - times[now]), float(braking)
     return float("inf"), float(braking)
 

@@ -30,8 +30,8 @@ from zarm_contract.errors import DeadlineExceeded, PlanningFailed
 from zarm_contract.messages import JointGoal
 from zarm_contract.robot import RobotDescription, load_robot
 from zarm_geometry.exact import ExactScene
+from zarm_geometry.packed_shapes import distances
 from zarm_geometry.robot_model import RobotModel
-from zarm_geometry.rows import distances
 from zarm_geometry.world import World
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline

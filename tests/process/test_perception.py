@@ -21,7 +21,7 @@ from zarm_contract.image import OF_ROBOT, decode_color
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Camera, Cuboid
 from zarm_contract.robot import ROBOTS
-from zarm_geometry import rows
+from zarm_geometry import packed_shapes
 from zarm_perception.robot_shape import RobotShapes
 from zarm_runtime.bus import Bus
 
@@ -101,7 +101,7 @@ def test_a_restarted_perception_frees_what_has_gone(tmp_path: Path) -> None:
         cell.look(FRONT)
 
         def at_the_post() -> int:
-            return int((rows.distances(cell.points, rows.primitives([POST]))[:, 0] < 0.02).sum())
+            return int((packed_shapes.distances(cell.points, packed_shapes.primitives([POST]))[:, 0] < 0.02).sum())
 
         assert at_the_post() > 50
         cell.processes["perception"].kill()
@@ -173,7 +173,7 @@ def test_what_cameras_see_is_avoided_except_the_robot_itself(cell: Cell) -> None
     assert np.mean(np.frombuffer(pixels, np.uint8) == OF_ROBOT) == pytest.approx(state.cameras[0].robot, rel=0.3)
     assert header.width == 160
     assert {*cell.robot.perception.points()} == {*map(tuple, cell.points.tolist())}
-    off = rows.distances(cell.points, rows.primitives([FLOOR, POST])).min(axis=1)
+    off = packed_shapes.distances(cell.points, packed_shapes.primitives([FLOOR, POST])).min(axis=1)
     assert off.max() < 0.02, "nothing is seen that is not there"
     for goal in (BACK, THERE, BACK):
         plan = cell.robot.plan(goal)
@@ -184,7 +184,7 @@ def test_what_cameras_see_is_avoided_except_the_robot_itself(cell: Cell) -> None
     cell.images(3)
     joints = np.array(cell.robot.joint_state().position)
     robot = RobotShapes(MODEL).at(joints).parts
-    assert rows.distances(cell.points, robot).min() > 0.01, "its own motion has left nothing in the map"
+    assert packed_shapes.distances(cell.points, robot).min() > 0.01, "its own motion has left nothing in the map"
 
 
 def test_a_motion_stops_for_an_intruder_and_resumes(cell: Cell) -> None:
@@ -211,7 +211,7 @@ def test_a_wrist_camera_sees_the_same_world_from_everywhere(cell: Cell) -> None:
     for goal in (BACK, THERE):
         cell.robot.execute(cell.robot.plan(goal))
     cell.images(3)
-    off = rows.distances(cell.points, rows.primitives([FLOOR, low])).min(axis=1)
+    off = packed_shapes.distances(cell.points, packed_shapes.primitives([FLOOR, low])).min(axis=1)
     assert len(off) > 150
     assert np.quantile(off, 0.98) < 0.02
 
@@ -225,7 +225,7 @@ def test_a_lidar_makes_the_same_map_which_is_saved_and_loaded(cell: Cell, tmp_pa
     )  # fmt: skip
     state = cell.look(lidar)
     assert 0.005 < state.cameras[0].robot < 0.5
-    off = rows.distances(cell.points, rows.primitives([FLOOR, POST])).min(axis=1)
+    off = packed_shapes.distances(cell.points, packed_shapes.primitives([FLOOR, POST])).min(axis=1)
     assert off.max() < 0.02, "nothing is seen that is not there, the robot is not either"
     cell.robot.perception.remove("top")
     before = {*cell.robot.perception.points()}
@@ -240,4 +240,4 @@ def test_a_lidar_makes_the_same_map_which_is_saved_and_loaded(cell: Cell, tmp_pa
     (tmp_path / "another.map").write_text("position: [0, 0, 1]")
     with pytest.raises(zarm.InvalidRequest, match="is no saved map"):
         cell.robot.perception.load(tmp_path / "another.map")
-    assert (rows.distances(np.array([*before]), rows.primitives([POST]))[:, 0] < 0.02).sum() > 20
+    assert (packed_shapes.distances(np.array([*before]), packed_shapes.primitives([POST]))[:, 0] < 0.02).sum() > 20

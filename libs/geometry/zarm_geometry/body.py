@@ -13,7 +13,7 @@ from zarm_contract.messages import Attached, Mesh, Sphere, Vector3, Voxels
 from zarm_contract.robot import RobotDescription
 from zarm_contract.urdf import Joint
 from zarm_geometry.frames import matrix, of_rpy, rotation_to
-from zarm_geometry.rows import primitives
+from zarm_geometry.packed_shapes import primitives
 from zarm_geometry.shapes import Shape, link_shape, obstacle_shape
 from zarm_geometry.sphere_cover import MOST_BALLS, sphere_cover
 from zarm_trajectory.arrays import Array

@@ -9,7 +9,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry import rows
+from zarm_geometry import packed_shapes
 from zarm_geometry.allowed_collisions import EVERY_LINK
 from zarm_geometry.kernels.arrays import WorldArrays
 from zarm_geometry.kernels.median_split import median_split
@@ -23,7 +23,7 @@ BRANCHES = 4
 class BoxTree(NamedTuple):
     """Shapes and the boxes around them.
 
-    `rows` (n, 17) are the shapes as in `zarm_geometry.rows`, in the order of the tree, and `order` (n,) their original
+    `rows` (n, 17) are the shapes as in `zarm_geometry.packed_shapes`, in the order of the tree, and `order` (n,) their original
     indices. `boxes` (m, 6), `skip` (m,) and `leaf` (m,) are its nodes, as in `WorldArrays`, without margin.
     """
 
@@ -58,7 +58,7 @@ def joined(trees: Sequence[BoxTree], margin: float) -> WorldArrays:
     filled = np.flatnonzero(counts)
     lower = np.minimum.reduceat(boxes[:, :3] - boxes[:, 3:], first_node[filled])
     upper = np.maximum.reduceat(boxes[:, :3] + boxes[:, 3:], first_node[filled])
-    top = BoxTree.over(rows.boxes(lower, upper))
+    top = BoxTree.over(packed_shapes.boxes(lower, upper))
     # The nodes of a tree come after its leaf in `top`, or in the place of that if they have one root, or there is no other tree.
     is_leaf = top.leaf >= 0
     tree_of_leaf = filled[top.order[top.leaf[is_leaf]]]

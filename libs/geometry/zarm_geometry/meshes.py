@@ -14,7 +14,7 @@ import numpy as np
 
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import Mesh, Voxels
-from zarm_geometry import mesh_files, rows
+from zarm_geometry import mesh_files, packed_shapes
 from zarm_geometry.box_tree import BoxTree
 from zarm_geometry.mesh_repair import closed
 from zarm_geometry.solid import around, inside
@@ -82,7 +82,7 @@ class Meshes:
             return coarse(cells_of(item), item.resolution, most)
         shapes = self.tree(item).rows
         flat = shapes[:, 15] < 0.0
-        return around(rows.corners(shapes[flat]), most, solid=not flat.all())
+        return around(packed_shapes.corners(shapes[flat]), most, solid=not flat.all())
 
     def count(self, item: Mesh) -> int:
         """The number of shapes of a mesh; 0 while its file cannot be read."""
@@ -179,7 +179,7 @@ def _held(item: Mesh, content: bytes, field: str) -> _Read:
             "the scale 0.001"
         )
     size = float(np.ptp(used.reshape(-1, 3), axis=0).max())
-    surface = rows.triangles(used)
+    surface = packed_shapes.triangles(used)
     if not len(surface):
         raise refused(f"{item.file} holds only triangles without area; check the scale, or export it again")
     if size < SMALLEST:
@@ -190,7 +190,7 @@ def _held(item: Mesh, content: bytes, field: str) -> _Read:
     notes = [*read.notes, *_doubts(size, len(read.triangles) - len(surface))]
     vertices, faces = np.unique(used.reshape(-1, 3), axis=0, return_inverse=True)
     solid, repairs = closed(Trimesh(vertices, faces.reshape(-1, 3), process=False))
-    shapes = [surface] if solid is None else [surface, rows.boxes(*inside(np.asarray(solid.triangles)))]
+    shapes = [surface] if solid is None else [surface, packed_shapes.boxes(*inside(np.asarray(solid.triangles)))]
     return _Read(BoxTree.over(np.concatenate(shapes)), (*notes, *repairs))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import MAX_CELLS, MAX_INDEX
-from zarm_geometry import rows
+from zarm_geometry import packed_shapes
 from zarm_geometry.shapes import obstacle_shape
 from zarm_geometry.voxels import Cells, distinct
 from zarm_geometry.world import World
@@ -44,7 +44,7 @@ def reached_cells(world: World, resolution: float, check: Callable[[], None]) ->
 
 def _cells(row: Array, resolution: float, check: Callable[[], None]) -> Cells:
     """The cells of one shape (17,): blocks of cells close to it are halved along each axis until they are single cells."""
-    lower, upper = (corner[0] for corner in rows.bounds(row[None]))
+    lower, upper = (corner[0] for corner in packed_shapes.bounds(row[None]))
     if np.abs((lower, upper)).max() > (MAX_INDEX - 1) * resolution:
         raise InvalidRequest(
             f"an object is too far away for cells of {resolution:g} m; use a coarser resolution", field="resolution"
@@ -57,7 +57,7 @@ def _cells(row: Array, resolution: float, check: Callable[[], None]) -> Cells:
         edge = resolution * 2**level
         # Block b holds the cells from b * 2^level on; at level 0 it is the cell b.
         centres = (blocks + 0.5) * edge - 0.5 * resolution
-        away = rows.distances(centres, row[None])[:, 0]
+        away = packed_shapes.distances(centres, row[None])[:, 0]
         near = away <= _CORNER * edge
         blocks, away, centres = blocks[near], away[near], centres[near]
         if level == 0:

@@ -31,7 +31,7 @@ class Shape:
 
     It is all points within `rounding` of a box of half extents `core` (3,) that is widened by a disc of radius `disc`
     about z. So a cuboid is its core, a sphere a rounding, a capsule both, and a cylinder a segment with a disc. With a
-    negative `disc` it is a triangle with its first corner in the origin, and `core` is as in `zarm_geometry.rows`.
+    negative `disc` it is a triangle with its first corner in the origin, and `core` is as in `zarm_geometry.packed_shapes`.
     """
 
     name: str

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import SceneObject, Vector3
-from zarm_geometry import rows
+from zarm_geometry import packed_shapes
 from zarm_geometry.allowed_collisions import Pairs, checked
 from zarm_geometry.exact import kept_margin, obstacles, robot_parts, subjects
 from zarm_geometry.kernels.clearance_search import Obstacles
@@ -87,7 +87,7 @@ class MovableShapes(NamedTuple):
     def of(cls, item: SceneObject, meshes: Meshes) -> Self:
         """Raises Unavailable for a mesh that is not in `meshes`."""
         shapes = convex_shapes(item, meshes)
-        return cls(item, solids(shapes), *rows.bounds(shapes))
+        return cls(item, solids(shapes), *packed_shapes.bounds(shapes))
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from zarm_geometry.exact import FARTHEST
+from zarm_geometry.packed_shapes import distances
 from zarm_geometry.robot_model import RobotModel
-from zarm_geometry.rows import distances
 from zarm_geometry.world import World
 from zarm_trajectory.arrays import Array
 

@@ -9,7 +9,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from zarm_contract.messages import Mesh, Primitive, SceneObject, Voxels
-from zarm_geometry import rows
+from zarm_geometry import packed_shapes
 from zarm_geometry.allowed_collisions import Pairs, checked
 from zarm_geometry.box_tree import BoxTree, joined
 from zarm_geometry.frames import matrix
@@ -22,7 +22,7 @@ class World:
     """Scene objects in the base frame, with `margin` (m) around them in `arrays`. Immutable.
 
     `rows` (n, 17) are the convex shapes of the objects, in the order of the tree and without the margin, see
-    `zarm_geometry.rows`; `owner` (n,) is the index in `names` of the object to which each belongs. Prepared meshes and
+    `zarm_geometry.packed_shapes`; `owner` (n,) is the index in `names` of the object to which each belongs. Prepared meshes and
     voxels are reused from `before`, an earlier world; one that only moved is only placed again. Raises Unavailable for
     a mesh that is not in `meshes`.
     """
@@ -45,7 +45,7 @@ class World:
                 single.append(item)
                 owners.append(index)
         trees = [made.placed for made in self._made.values()]
-        singles = BoxTree.over(rows.primitives(single))
+        singles = BoxTree.over(packed_shapes.primitives(single))
         place = {item.name: index for index, item in enumerate(objects)}
         places, counts = [place[name] for name in self._made], [len(tree.rows) for tree in trees]
         self.names = tuple(item.name for item in objects)
@@ -102,11 +102,11 @@ def _same_cells(one: Voxels, other: Voxels) -> bool:
 def convex_shapes(item: SceneObject, meshes: Meshes) -> Array:
     """The shapes (n, 17) of an object, in the base frame."""
     if not isinstance(item, Mesh | Voxels):
-        return rows.primitives([item])
+        return packed_shapes.primitives([item])
     own = meshes.tree(item).rows if isinstance(item, Mesh) else _boxes(item)
-    return rows.placed(own, matrix(item.position, item.orientation))
+    return packed_shapes.placed(own, matrix(item.position, item.orientation))
 
 
 def _boxes(item: Voxels) -> Array:
     """The shapes (n, 17) of voxels, in their own frame."""
-    return rows.boxes(*edges(*merged(cells_of(item)), item.resolution))
+    return packed_shapes.boxes(*edges(*merged(cells_of(item)), item.resolution))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from zarm_geometry.rows import bounds
+from zarm_geometry.packed_shapes import bounds
 from zarm_robot_import.body import Body
 from zarm_robot_import.directions import axes_of
 from zarm_robot_import.kernels.enclosing import around, oriented

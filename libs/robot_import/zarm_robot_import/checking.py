@@ -9,13 +9,13 @@ import numpy as np
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
+from zarm_geometry.packed_shapes import bounds
 from zarm_geometry.robot_model import RobotModel
-from zarm_geometry.rows import bounds
 from zarm_geometry.shapes import distance
 from zarm_geometry.world import World
 from zarm_robot_import.kernels.balls import around_shapes
 from zarm_robot_import.limits import WIDEST
-from zarm_robot_import.primitives import rows_of
+from zarm_robot_import.primitives import packed_shapes_of
 from zarm_robot_import.source import read_source
 from zarm_robot_import.spheres import protrusion
 from zarm_trajectory.arrays import Array
@@ -145,7 +145,7 @@ def _meshes(robot: RobotDescription) -> Iterator[str]:
 
 def _covers(robot: RobotDescription) -> Iterator[str]:
     for link, primitives in robot.descriptor.collision.items():
-        rows = rows_of(primitives)
+        rows = packed_shapes_of(primitives)
         balls = np.array([(*ball.center, ball.radius) for ball in robot.descriptor.spheres[link]])
         lacking = float((around_shapes(balls, rows, _FINEST)[:, 3] - balls[:, 3]).max())
         if lacking > OUTSIDE:

@@ -9,7 +9,7 @@ from zarm_contract.collision import CollisionPrimitive
 from zarm_robot_import.body import Body
 from zarm_robot_import.decomposition import fit_primitives
 from zarm_robot_import.meshes import Surface
-from zarm_robot_import.primitives import rows_of
+from zarm_robot_import.primitives import packed_shapes_of
 from zarm_robot_import.protrusion import Measure, Out
 from zarm_robot_import.spheres import ball_rows, fit_covers
 from zarm_trajectory.arrays import Array
@@ -17,7 +17,7 @@ from zarm_trajectory.arrays import Array
 
 @dataclass(frozen=True)
 class Fitted:
-    """The exact geometry of a link, also as rows (n, 17) of `zarm_geometry.rows`, and the balls (k, 4) of its cover.
+    """The exact geometry of a link, also as rows (n, 17) of `zarm_geometry.packed_shapes`, and the balls (k, 4) of its cover.
 
     The primitives contain the link's surface, and the cover contains them; `exact_out` and `cover_out` say how far they
     protrude.
@@ -42,7 +42,7 @@ def fit(
     for link, body in bodies.items():
         primitives[link] = fit_primitives(body)
         done(link)
-    rows = {link: rows_of(each) for link, each in primitives.items()}
+    rows = {link: packed_shapes_of(each) for link, each in primitives.items()}
     covers = fit_covers(rows, carried, budget)
     found = []
     for link, body in bodies.items():

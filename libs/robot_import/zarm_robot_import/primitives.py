@@ -1,4 +1,4 @@
-"""Convex primitives, as the descriptor has them, as rows of `zarm_geometry.rows`, and as triangles."""
+"""Convex primitives, as the descriptor has them, as rows of `zarm_geometry.packed_shapes`, and as triangles."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from zarm_trajectory.arrays import Array
 
 
 def written(row: Array) -> CollisionPrimitive:
-    """A row (17,) of `zarm_geometry.rows` in the descriptor's form."""
+    """A row (17,) of `zarm_geometry.packed_shapes` in the descriptor's form."""
     frame = row[:12].reshape(3, 4)
     turn = frame[:, :3].T
     middle = -turn @ frame[:, 3]
@@ -42,8 +42,8 @@ def written(row: Array) -> CollisionPrimitive:
     return CollisionCapsule(kind="capsule", a=a, b=b, radius=rounding)
 
 
-def rows_of(primitives: Sequence[CollisionPrimitive]) -> Array:
-    """The primitives of a link as rows (n, 17) in its frame, see `zarm_geometry.rows`."""
+def packed_shapes_of(primitives: Sequence[CollisionPrimitive]) -> Array:
+    """The primitives of a link as rows (n, 17) in its frame, see `zarm_geometry.packed_shapes`."""
     found = []
     for shape in (link_shape("", primitive) for primitive in primitives):
         turn = shape.pose[:3, :3].T

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 from scipy.stats import qmc
 
-from zarm_geometry.rows import distances
+from zarm_geometry.packed_shapes import distances
 from zarm_robot_import.kernels.balls import around_shapes
 from zarm_robot_import.kernels.middles import middles
 from zarm_robot_import.primitives import below, triangles_of
@@ -74,7 +74,7 @@ def fit_covers(rows: Mapping[str, Array], carried: Mapping[str, int], budget: in
 
 
 def ball_rows(balls: Array) -> Array:
-    """Balls (n, 4) as rows (n, 17) of `zarm_geometry.rows`."""
+    """Balls (n, 4) as rows (n, 17) of `zarm_geometry.packed_shapes`."""
     rows = np.zeros((len(balls), 17))
     rows[:, [0, 5, 10]] = 1.0
     rows[:, [3, 7, 11]] = -balls[:, :3]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from zarm_contract.messages import Mesh, SceneObject, Voxels
-from zarm_geometry import rows
+from zarm_geometry import packed_shapes
 from zarm_geometry.robot_model import RobotModel
 from zarm_perception.voxel_map import RobotShape
 from zarm_trajectory.arrays import Array
@@ -19,7 +19,7 @@ GRIPPED = 0.25
 def known_things(objects: Sequence[SceneObject]) -> RobotShape:
     """The primitives among these that a robot may grip."""
     items = [item for item in objects if not isinstance(item, Mesh | Voxels)]
-    parts = rows.primitives(items)
+    parts = packed_shapes.primitives(items)
     x, y, z, disc, rounding = parts[:, 12:].T
     balls = np.column_stack(
         (np.array([item.position for item in items]).reshape(-1, 3), np.hypot(np.hypot(x, y) + disc, z) + rounding)

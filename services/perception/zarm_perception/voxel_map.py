@@ -34,7 +34,7 @@ BlockIndex = tuple[int, int, int]
 
 
 class RobotShape(NamedTuple):
-    """The robot at some joints, and what else is left out: convex `parts` (m, 17), see `zarm_geometry.rows`, each inside one of `balls` (m, 4)."""
+    """The robot at some joints, and what else is left out: convex `parts` (m, 17), see `zarm_geometry.packed_shapes`, each inside one of `balls` (m, 4)."""
 
     parts: Array
     balls: Array

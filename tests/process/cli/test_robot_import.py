@@ -17,15 +17,15 @@ from zarm_contract.errors import DeadlineExceeded, PlanningFailed
 from zarm_contract.messages import JointGoal, Sphere
 from zarm_contract.robot import RobotDescription, load_robot
 from zarm_geometry.exact import ExactScene
+from zarm_geometry.packed_shapes import bounds, distances
 from zarm_geometry.robot_model import RobotModel
-from zarm_geometry.rows import bounds, distances
 from zarm_geometry.world import World
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
 from zarm_planner.pipeline import plan
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
-from zarm_robot_import.primitives import rows_of
+from zarm_robot_import.primitives import packed_shapes_of
 from zarm_trajectory.limits import Limits
 
 PATIENCE = 600.0
@@ -93,7 +93,7 @@ def test_exact_geometry_contains_the_meshes_and_the_cover_both(
 ) -> None:
     rng = np.random.default_rng(5)
     for link, triangles in meshes.items():
-        exact = rows_of(arm.descriptor.collision[link])
+        exact = packed_shapes_of(arm.descriptor.collision[link])
         balls = np.array([(*ball.center, ball.radius) for ball in arm.descriptor.spheres[link]])
         points = np.einsum("nk,nki->ni", rng.dirichlet((1, 1, 1), len(triangles)), triangles)
         assert distances(np.concatenate([points, triangles.reshape(-1, 3)]), exact).min(axis=1).max() < 1e-9

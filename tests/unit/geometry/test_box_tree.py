@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from zarm_geometry import rows
+from zarm_geometry import packed_shapes
 from zarm_geometry.box_tree import BoxTree, joined
 from zarm_geometry.kernels.arrays import WorldArrays
 
@@ -28,7 +28,7 @@ def test_a_single_tree_stays_as_it_is() -> None:
 def tree(rng: np.random.Generator, count: int) -> BoxTree:
     """Small boxes about a random place."""
     lower = rng.uniform(-1.0, 1.0, 3) + rng.uniform(-0.1, 0.1, (count, 3))
-    return BoxTree.over(rows.boxes(lower, lower + 0.05))
+    return BoxTree.over(packed_shapes.boxes(lower, lower + 0.05))
 
 
 def leaves(arrays: WorldArrays, first: int, last: int, around: np.ndarray | None) -> list[int]:

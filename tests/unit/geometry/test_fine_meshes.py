@@ -14,7 +14,7 @@ from support.planner.sphere_model import gaps_to_itself, random_joints, spheres
 from support.tiers import sampled
 from zarm_contract.messages import Mesh, Voxels
 from zarm_contract.robot import load_robot
-from zarm_geometry import rows
+from zarm_geometry import packed_shapes
 from zarm_geometry.box_tree import BoxTree
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
@@ -153,13 +153,13 @@ def test_a_motion_is_as_near_to_a_fine_mesh_as_fcl_measures(tmp_path: Path, mode
 def test_boxes_of_a_moved_object_contain_it_tightly() -> None:
     rng = np.random.default_rng(4)
     cells = tuple(map(tuple, rng.integers(-9, 9, (200, 3)).tolist()))
-    triangles = rows.triangles(rng.normal(size=(300, 1, 3)) + 0.1 * rng.normal(size=(300, 3, 3)))
+    triangles = packed_shapes.triangles(rng.normal(size=(300, 1, 3)) + 0.1 * rng.normal(size=(300, 3, 3)))
     voxels = Voxels(kind="voxels", name="seen", resolution=0.1, cells=tuple(dict.fromkeys(cells)))
     for shapes in (triangles, World((voxels,), 0.0).rows):
         pose = matrix(AT, TURNED)
         tree = BoxTree.over(shapes).placed(pose)
-        np.testing.assert_allclose(tree.rows, rows.placed(shapes, pose)[tree.order], atol=1e-12)
-        lower, upper = rows.bounds(tree.rows)
+        np.testing.assert_allclose(tree.rows, packed_shapes.placed(shapes, pose)[tree.order], atol=1e-12)
+        lower, upper = packed_shapes.bounds(tree.rows)
         np.testing.assert_allclose(refit.centers(tree.rows), (lower + upper) / 2, atol=1e-12)
         for node, (box, leaf, skip) in enumerate(zip(tree.boxes, tree.leaf, tree.skip, strict=True)):
             inside = [leaf] if leaf >= 0 else [each for each in tree.leaf[node:skip] if each >= 0]

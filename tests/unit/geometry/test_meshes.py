@@ -19,7 +19,7 @@ from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import AddObjects, ClearScene, Mesh, SceneEdit, Sphere
 from zarm_contract.robot import load_robot
 from zarm_geometry import meshes as limits
-from zarm_geometry import rows, solid
+from zarm_geometry import packed_shapes, solid
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import FARTHEST, ExactScene
 from zarm_geometry.frames import matrix
@@ -153,7 +153,7 @@ def test_the_inside_of_a_closed_mesh_is_filled_and_nothing_else(tmp_path: Path, 
     found = Meshes((tmp_path,))
     item = found.checked(mesh(saved(shape, tmp_path / "shape.stl").name), "")
     parts = found.tree(item).rows
-    lower, upper = rows.bounds(parts[parts[:, 15] >= 0.0])
+    lower, upper = packed_shapes.bounds(parts[parts[:, 15] >= 0.0])
     rng = np.random.default_rng(4)
     points = rng.uniform(shape.bounds[0] - 0.05, shape.bounds[1] + 0.05, (150, 3))
     filled = np.any(np.all((points[:, None] > lower) & (points[:, None] < upper), axis=2), axis=1)

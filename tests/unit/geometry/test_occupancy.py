@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from support.examples import examples
 from zarm_contract.errors import Cancelled, InvalidRequest
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, Primitive, SceneObject, Sphere, Voxels
-from zarm_geometry import rows
+from zarm_geometry import packed_shapes
 from zarm_geometry.occupancy import reached_cells
 from zarm_geometry.world import World
 
@@ -51,11 +51,11 @@ def test_no_point_of_an_object_is_outside_and_no_cell_is_empty(seed: int, resolu
     cells = reached_cells(world, resolution, lambda: None)
     occupied = set(map(tuple, cells.tolist()))
     points = np.random.default_rng(seed).uniform(-0.9, 0.9, (20_000, 3))
-    inside = points[rows.distances(points, world.rows).min(axis=1) < 0.0]
+    inside = points[packed_shapes.distances(points, world.rows).min(axis=1) < 0.0]
     assert {tuple(cell) for cell in np.rint(inside / resolution).astype(int).tolist()} <= occupied
     spacing = resolution * (SAMPLES[1] - SAMPLES[0])
     for cell in cells[:200]:
-        held = rows.distances((cell + IN_A_CELL) * resolution, world.rows).min()
+        held = packed_shapes.distances((cell + IN_A_CELL) * resolution, world.rows).min()
         assert held <= spacing * np.sqrt(3.0) / 2.0 + 1e-6
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from support.examples import examples
 from support.planner.sphere_model import distance, random_object
-from zarm_geometry.rows import primitives
+from zarm_geometry.packed_shapes import primitives
 from zarm_geometry.shapes import obstacle_shape
 from zarm_geometry.sphere_cover import MOST_BALLS, STANDS_OUT, sphere_cover
 

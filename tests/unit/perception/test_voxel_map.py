@@ -12,7 +12,7 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.image import COUNTS, OF_ROBOT
 from zarm_contract.messages import Cuboid, Cylinder, Primitive, Sphere
 from zarm_contract.robot import load_robot
-from zarm_geometry import rows
+from zarm_geometry import packed_shapes
 from zarm_geometry.robot_model import RobotModel
 from zarm_perception.blocks import Blocks
 from zarm_perception.kernels.integration import FREE, OCCUPIED, PASSES, UNSEEN, View
@@ -50,7 +50,7 @@ def image(view: View, shapes: Array) -> NDArray[np.float32]:
     depth = np.zeros(len(direction))
     going = np.arange(len(direction))
     for _ in range(200):
-        away = rows.distances(view.place + depth[going, None] * direction[going], shapes).min(axis=1)
+        away = packed_shapes.distances(view.place + depth[going, None] * direction[going], shapes).min(axis=1)
         depth[going] += away / length[going]
         going = going[(away > 1e-4) & (depth[going] < 5.0)]
         if not len(going):
@@ -60,7 +60,7 @@ def image(view: View, shapes: Array) -> NDArray[np.float32]:
 
 
 def seen(view: View, *things: Primitive) -> NDArray[np.float32]:
-    return image(view, rows.primitives([*things]))
+    return image(view, packed_shapes.primitives([*things]))
 
 
 def empty_map(*, unseen_occupied: bool = False) -> VoxelMap:
@@ -91,7 +91,7 @@ def test_where_a_pixel_ends_is_occupied_and_nothing_else_is() -> None:
     on_ball = np.abs(np.linalg.norm(ends - ball.position, axis=1) - ball.radius) < 1e-3
     i, j, k = cells(voxels, ends[on_ball]).T
     assert (voxels.states[i, j, k] == OCCUPIED).mean() > 0.97, "but for the pixels on its edge"
-    off = rows.distances(centers(voxels, voxels.occupied), rows.primitives([ball, WALL])).min(axis=1)
+    off = packed_shapes.distances(centers(voxels, voxels.occupied), packed_shapes.primitives([ball, WALL])).min(axis=1)
     assert off.max() < 0.02 * np.sqrt(3.0) / 2.0 + 1e-3
 
 
@@ -160,10 +160,10 @@ def test_the_robot_is_not_in_the_map_and_what_is_near_it_is() -> None:
     hand = M1013.fk_tip(HOME)[:3, 3]
     near = Sphere(kind="sphere", name="near", position=tuple((hand + (0.0, 0.22, 0.0)).tolist()), radius=0.06)
     view, voxels = looking((1.6, 0.6, 1.1), (0.3, 0.0, 0.4)), empty_map()
-    depth = image(view, np.concatenate((shape.parts, rows.primitives([near]))))
+    depth = image(view, np.concatenate((shape.parts, packed_shapes.primitives([near]))))
     found = voxels.integrate(depth, view, shape, 0.03)
     assert found.robot > 500
-    on_ball = rows.distances(centers(voxels, voxels.occupied), rows.primitives([near]))[:, 0] < 0.02
+    on_ball = packed_shapes.distances(centers(voxels, voxels.occupied), packed_shapes.primitives([near]))[:, 0] < 0.02
     assert on_ball.all(), "nothing else is occupied"
     assert on_ball.sum() > 20
 
@@ -174,9 +174,9 @@ def test_where_the_robot_is_nothing_else_is() -> None:
     ball = Sphere(kind="sphere", name="ball", position=tuple(hand.tolist()), radius=0.08)
     view, voxels, robot = looking((1.6, 0.6, 1.1), (0.3, 0.0, 0.4)), empty_map(), RobotShapes(M1013).at(HOME)
     voxels.integrate(seen(view, ball, WALL), view, NOBODY, 0.0)
-    assert rows.distances(centers(voxels, voxels.occupied), robot.parts).min() < 0.0
+    assert packed_shapes.distances(centers(voxels, voxels.occupied), robot.parts).min() < 0.0
     voxels.integrate(np.zeros((HEIGHT, WIDTH), np.float32), view, robot, 0.03)
-    away = rows.distances(centers(voxels, voxels.occupied), robot.parts).min(axis=1)
+    away = packed_shapes.distances(centers(voxels, voxels.occupied), robot.parts).min(axis=1)
     assert 0.017 < away.min() < 0.03, "what is near it stays"
 
 
@@ -184,9 +184,9 @@ def test_the_robot_s_own_place_is_free() -> None:
     """Otherwise, where the unseen counts as occupied, it could never leave its place."""
     voxels = empty_map(unseen_occupied=True)
     view, robot = looking((1.6, 0.6, 1.1), (0.3, 0.0, 0.4)), RobotShapes(M1013).at(HOME)
-    assert rows.distances(centers(voxels, voxels.occupied), robot.parts).min() < 0.0
+    assert packed_shapes.distances(centers(voxels, voxels.occupied), robot.parts).min() < 0.0
     voxels.integrate(np.zeros((HEIGHT, WIDTH), np.float32), view, robot, 0.03)
-    away = rows.distances(centers(voxels, voxels.occupied), robot.parts).min(axis=1)
+    away = packed_shapes.distances(centers(voxels, voxels.occupied), robot.parts).min(axis=1)
     assert 0.047 < away.min() < 0.06, "as far as nothing beside it can be seen"
 
 
@@ -216,7 +216,7 @@ def test_graspable_objects_are_in_the_scene_and_not_in_the_map() -> None:
     assert voxels.states[top] == FREE
     list(voxels.changes())
     voxels.integrate(depth, view, robot.at(HOME), 0.02)
-    off = rows.distances(centers(voxels, voxels.occupied), rows.primitives([shelf, cup]))
+    off = packed_shapes.distances(centers(voxels, voxels.occupied), packed_shapes.primitives([shelf, cup]))
     assert (off[:, 0] < 0.02).all()
     assert len(off) > 100
     assert off[:, 1].min() > 0.0
@@ -242,7 +242,7 @@ def test_pixels_that_fly_between_two_surfaces_mark_nothing() -> None:
     flying = rng.random(depth.shape) < 0.02
     smeared = np.where(flying, depth * rng.uniform(0.3, 0.9, depth.shape), depth).astype(np.float32)
     voxels.integrate(smeared, view, NOBODY, 0.0)
-    off = rows.distances(centers(voxels, voxels.occupied), rows.primitives([WALL]))[:, 0]
+    off = packed_shapes.distances(centers(voxels, voxels.occupied), packed_shapes.primitives([WALL]))[:, 0]
     assert (off < 0.02).mean() > 0.99
 
 
@@ -262,7 +262,7 @@ def test_one_pixel_is_noise_where_a_voxel_appears_on_many() -> None:
     depth = seen(view, WALL)
     depth[HEIGHT // 2, WIDTH // 2] -= 0.026
     voxels.integrate(depth, view, NOBODY, 0.0)
-    assert rows.distances(centers(voxels, voxels.occupied), rows.primitives([WALL])).max() < 0.015
+    assert packed_shapes.distances(centers(voxels, voxels.occupied), packed_shapes.primitives([WALL])).max() < 0.015
 
 
 def test_what_nobody_has_seen_is_occupied_if_that_is_asked_for() -> None:
@@ -320,10 +320,14 @@ def ranges(view: View, *things: Primitive) -> tuple[NDArray[np.float32], Array]:
     level = np.cos(elevation)[:, None]
     up = np.broadcast_to(np.sin(elevation)[:, None], (85, len(azimuth)))
     rays = np.stack((level * np.cos(azimuth), -level * np.sin(azimuth), up), axis=-1)
-    shapes, depth, going = rows.primitives([*things]), np.zeros(rays[..., 0].size), np.arange(rays[..., 0].size)
+    shapes, depth, going = (
+        packed_shapes.primitives([*things]),
+        np.zeros(rays[..., 0].size),
+        np.arange(rays[..., 0].size),
+    )
     flat = rays.reshape(-1, 3)
     for _ in range(300):
-        away = rows.distances(view.place + depth[going, None] * flat[going], shapes).min(axis=1)
+        away = packed_shapes.distances(view.place + depth[going, None] * flat[going], shapes).min(axis=1)
         depth[going] += away
         going = going[(away > 1e-4) & (depth[going] < 5.0)]
         if not len(going):
@@ -353,12 +357,14 @@ def test_a_lidar_frees_only_what_it_sees_through(seed: int) -> None:
     i, j, k = cells(voxels, ends).T
     assert (voxels.states[i, j, k] == OCCUPIED).mean() > 0.8, "but for voxels in which a single pixel ends"
     occupied = centers(voxels, voxels.states == OCCUPIED)
-    assert rows.distances(occupied, rows.primitives(things)).max() < np.inf
-    assert rows.distances(occupied, rows.primitives(things)).min(axis=1).max() < 0.02
+    assert packed_shapes.distances(occupied, packed_shapes.primitives(things)).max() < np.inf
+    assert packed_shapes.distances(occupied, packed_shapes.primitives(things)).min(axis=1).max() < 0.02
     free = centers(voxels, voxels.states == FREE)
     assert len(free) > 20_000
     assert (np.abs(free[free[:, 0] < -0.5][:, 1]) < 0.02).any(), "also what is behind it"
-    assert rows.distances(free, rows.primitives(things)).min() > 0.0, "what is free is outside everything"
+    assert packed_shapes.distances(free, packed_shapes.primitives(things)).min() > 0.0, (
+        "what is free is outside everything"
+    )
 
 
 def test_a_lidar_leaves_the_robot_out() -> None:
@@ -370,7 +376,7 @@ def test_a_lidar_leaves_the_robot_out() -> None:
     assert len(azimuth) == rays.shape[1]
     flat, depth, going = rays.reshape(-1, 3), np.zeros(wall.size), np.arange(wall.size)
     for _ in range(300):
-        away = rows.distances(view.place + depth[going, None] * flat[going], shape.parts).min(axis=1)
+        away = packed_shapes.distances(view.place + depth[going, None] * flat[going], shape.parts).min(axis=1)
         depth[going] += away
         going = going[(away > 1e-4) & (depth[going] < 5.0)]
         if not len(going):
@@ -381,7 +387,9 @@ def test_a_lidar_leaves_the_robot_out() -> None:
     assert seen.robot > 100
     occupied = centers(voxels, voxels.occupied)
     assert len(occupied) > 20
-    assert rows.distances(occupied, rows.primitives([things])).min(axis=1).max() < 0.02, "only the wall is there"
+    assert packed_shapes.distances(occupied, packed_shapes.primitives([things])).min(axis=1).max() < 0.02, (
+        "only the wall is there"
+    )
 
 
 def test_a_map_is_saved_and_loaded_also_into_another_box() -> None:
@@ -426,13 +434,13 @@ def test_a_saved_map_that_does_not_fit_is_refused(change: dict[str, object], why
 def test_the_mask_says_what_of_an_image_is_in_the_map() -> None:
     eye = looking((1.8, 0.3, 0.9), (0.0, 0.0, 0.4))
     robot = RobotShapes(M1013).at(HOME)
-    depth = image(eye, np.concatenate((robot.parts, rows.primitives([WALL]))))
+    depth = image(eye, np.concatenate((robot.parts, packed_shapes.primitives([WALL]))))
     voxels = VoxelMap(np.array((-1.0, -1.0, -0.25)), np.array((1.0, 1.0, 1.25)), 0.02)
     seen = voxels.integrate(depth, eye, robot, 0.03)
     mask = seen.mask()
     assert mask.shape == (HEIGHT, WIDTH)
     assert np.count_nonzero(mask == OF_ROBOT) == seen.robot > 500
     points = eye.place + depth[..., None] * rays(eye)
-    away = rows.distances(points[(mask == COUNTS) & np.isfinite(depth)], robot.parts).min(axis=1)
+    away = packed_shapes.distances(points[(mask == COUNTS) & np.isfinite(depth)], robot.parts).min(axis=1)
     assert away.min() > 0.03 - 1e-3
     assert not np.any(mask[~np.isfinite(depth)] == OF_ROBOT)

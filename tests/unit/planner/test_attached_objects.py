@@ -36,7 +36,7 @@ from zarm_contract.messages import (
     Sphere,
     Voxels,
 )
-from zarm_geometry import rows
+from zarm_geometry import packed_shapes
 from zarm_geometry.body import attached_body
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
@@ -317,12 +317,14 @@ def test_carried_meshes_and_voxels_become_cuboids(
     store.edit(add(item))
     shapes = World(store.scene.objects, 0.0, store.meshes).rows
     flat = shapes[:, 15] < 0.0
-    points = np.concatenate([rows.corners(shapes[flat]).reshape(-1, 3), np.mean(rows.bounds(shapes[~flat]), axis=0)])
+    points = np.concatenate(
+        [packed_shapes.corners(shapes[flat]).reshape(-1, 3), np.mean(packed_shapes.bounds(shapes[~flat]), axis=0)]
+    )
     carried = store.edit(attach("part"), lambda _, edit: (edit, tip)).attached[0]
     assert 0 < len(carried.parts) <= MAX_ATTACHED_PARTS
 
-    parts = rows.placed(rows.primitives(carried.parts), tip)
-    assert rows.distances(points, parts).min(axis=1).max() <= 1e-6
+    parts = packed_shapes.placed(packed_shapes.primitives(carried.parts), tip)
+    assert packed_shapes.distances(points, parts).min(axis=1).max() <= 1e-6
     body = attached_body(carried, arm.dof, tip)
     centers = body.balls[:, :3] @ tip[:3, :3].T + tip[:3, 3]
     assert (np.linalg.norm(points[:, None] - centers, axis=2) - body.balls[:, 3]).min(axis=1).max() <= 1e-6

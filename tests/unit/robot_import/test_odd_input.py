@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from support.tiers import sampled
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.robot import load_robot
-from zarm_geometry.rows import distances
+from zarm_geometry.packed_shapes import distances
 from zarm_robot_import.body import Body
 from zarm_robot_import.chain import choose_chain
 from zarm_robot_import.decomposition import fit_primitives
@@ -22,7 +22,7 @@ from zarm_robot_import.description import describe
 from zarm_robot_import.importing import Options, import_robot
 from zarm_robot_import.inertia import unphysical
 from zarm_robot_import.meshes import MOST_KEPT, Surface, link_surface
-from zarm_robot_import.primitives import rows_of
+from zarm_robot_import.primitives import packed_shapes_of
 from zarm_robot_import.source import read_source
 from zarm_robot_import.surface_distance import sticks_out
 from zarm_robot_import.triangles import gathered
@@ -77,7 +77,7 @@ def test_a_simplified_mesh_contains_the_original(tmp_path: Path) -> None:
     found = surface(tmp_path, ball)
     assert len(found.triangles) <= MOST_KEPT
     assert f"its {len(given)} triangles are taken as" in found.warnings[0]
-    rows = rows_of(fit_primitives(Body.of(found.triangles, off=found.off)))
+    rows = packed_shapes_of(fit_primitives(Body.of(found.triangles, off=found.off)))
     assert distances(given.reshape(-1, 3)[::7], rows).min(axis=1).max() <= 0.0
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from zarm_geometry.rows import distances
+from zarm_geometry.packed_shapes import distances
 from zarm_robot_import import decomposition
 from zarm_robot_import.body import Body
 from zarm_robot_import.cutting import cut
 from zarm_robot_import.decomposition import fit_primitives
-from zarm_robot_import.primitives import rows_of, triangles_of
+from zarm_robot_import.primitives import packed_shapes_of, triangles_of
 from zarm_robot_import.protrusion import MEAN, MOST, Measure
 
 Array = np.ndarray
@@ -41,7 +41,7 @@ SHAPES = {"box": BOX, "tube": TUBE, "ball": BALL, "capsule": CAPSULE, "elbow": E
 def test_primitives_contain_every_corner_tightly(name: str) -> None:
     triangles = SHAPES[name]
     body = Body.of(triangles)
-    rows = rows_of(fit_primitives(body))
+    rows = packed_shapes_of(fit_primitives(body))
     corners = triangles.reshape(-1, 3)
     rng = np.random.default_rng(1)
     inner = np.einsum("kn,nki->ni", rng.dirichlet((1, 1, 1), len(triangles)).T, triangles)
@@ -58,7 +58,7 @@ def test_the_second_kind_of_geometry_is_contained_with_tolerance(
     monkeypatch.setattr(decomposition, "_ENOUGH", 0.0)
     outer, off = np.array(trimesh.creation.box((0.1, 0.2, 0.3)).triangles), 0.002
     larger = outer + np.sign(outer) * off / 2
-    rows = rows_of(fit_primitives(Body.of(outer, larger, off=off)))
+    rows = packed_shapes_of(fit_primitives(Body.of(outer, larger, off=off)))
     corners = np.concatenate([outer, larger]).reshape(-1, 3)
     assert distances(corners, rows).min(axis=1).max() <= 1e-6 - off
 
@@ -67,7 +67,7 @@ def test_the_second_kind_of_geometry_is_contained_with_tolerance(
 def test_a_link_as_small_as_a_finger_is_contained_more_tightly() -> None:
     size = 0.06
     body = Body.of(ELBOW * size / np.ptp(ELBOW, axis=(0, 1)).max())
-    out = Measure(body).all(rows_of(fit_primitives(body)))
+    out = Measure(body).all(packed_shapes_of(fit_primitives(body)))
     assert out.most < MOST / 2
     assert out.mean < MEAN / 2
 

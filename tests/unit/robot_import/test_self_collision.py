@@ -15,7 +15,7 @@ from zarm_robot_import.description import describe
 from zarm_robot_import.fitting import Fitted
 from zarm_robot_import.limits import limits_of
 from zarm_robot_import.meshes import Surface, link_surface
-from zarm_robot_import.primitives import rows_of
+from zarm_robot_import.primitives import packed_shapes_of
 from zarm_robot_import.protrusion import Out
 from zarm_robot_import.self_collision import Pair, Pairs
 from zarm_robot_import.source import read_source
@@ -43,7 +43,7 @@ def around(surface: Surface) -> Fitted:
     x, y, z = corners.mean(axis=0).tolist()
     radius = float(np.linalg.norm(corners - (x, y, z), axis=1).max())
     ball, out = CollisionSphere(center=(x, y, z), radius=radius), Out(0.0, 0.0, 0.0)
-    return Fitted(surface.link, [ball], rows_of([ball]), np.array([(x, y, z, radius)]), out, out)
+    return Fitted(surface.link, [ball], packed_shapes_of([ball]), np.array([(x, y, z, radius)]), out, out)
 
 
 def arm(folder: Path, collision: str, visual: str = "") -> Path:

@@ -92,7 +92,7 @@ class Motion(NamedTuple):
 
 
 def solids(rows: Array) -> Solids:
-    """The shapes of rows (n, 17), see `zarm_geometry.rows`."""
+    """The shapes of rows (n, 17), see `zarm_geometry.packed_shapes`."""
     frame = rows[:, :12].reshape(-1, 3, 4)
     turn = frame[:, :, :3].transpose(0, 2, 1)
     pose = np.concatenate([turn, -(turn @ frame[:, :, 3:])], axis=2)

@@ -15,7 +15,7 @@ from zarm_trajectory.arrays import Array, Index
 @inlined
 def _bounds(row: Array, box: Array) -> None:
     """Write to `box` (6,) centre and half extents of the axis-aligned box around a shape (17,), see
-    `zarm_geometry.rows`.
+    `zarm_geometry.packed_shapes`.
     """
     rounding = row[16]
     for j in range(3):

@@ -14,7 +14,7 @@ from zarm_trajectory.arrays import Array
 @kernel
 def around_shapes(balls: Array, rows: Array, finest: float) -> Array:
     """Enlarge the radii of `balls` (k, 4), x, y, z, radius in m, until their union provably contains the shapes (n,
-    17), see `zarm_geometry.rows`.
+    17), see `zarm_geometry.packed_shapes`.
 
     The cube around each shape is subdivided like an octree. A cell needs no further work if the sphere around it is
     outside of the shape or inside one of the balls. At half a side of `finest` (m) a ball grows to enclose it: the one

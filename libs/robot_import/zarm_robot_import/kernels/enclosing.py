@@ -55,7 +55,7 @@ def oriented(points: Array, axes: Array) -> tuple[Array, Array]:
 
 @kernel
 def around(points: Array, turns: Array, boxes: Array, axis: Array, middle: Array) -> Array:
-    """Shapes (3 n + 1, 17), see `zarm_geometry.rows`, each of which contains all points (m, 3).
+    """Shapes (3 n + 1, 17), see `zarm_geometry.packed_shapes`, each of which contains all points (m, 3).
 
     They are n boxes with the frames `boxes` (n, 3, 3), then n cylinders and n capsules along the z of the frames
     `turns` (n, 3, 3) through the points `axis` (n, 3), and a sphere around `middle` (3,).

@@ -12,7 +12,7 @@ from zarm_trajectory.arrays import Array
 
 @kernel
 def least_outside(rows: Array, start: Array, points: Array, weights: Array, most: float) -> tuple[int, float]:
-    """The shape (of n, 17, see `zarm_geometry.rows`) with the smallest cost: its `start` (n,) plus the `weights` (m,)
+    """The shape (of n, 17, see `zarm_geometry.packed_shapes`) with the smallest cost: its `start` (n,) plus the `weights` (m,)
     of the points (m, 3) inside it.
 
     Returns its index and cost; -1 and `most` if no cost is below `most`.

@@ -144,7 +144,7 @@ def project(points: Depth, view: View, out: Depth) -> None:
 @kernel
 def mask_robot(depth: Depth, view: View, parts: Array, balls: Array, padding: float, mask: Mask) -> None:
     """Set `mask` (h, w) where the point of a pixel is within `padding` (m) of one of the convex `parts` (m, 17), see
-    `zarm_geometry.rows`, each inside one of `balls` (m, 4), all in the base frame.
+    `zarm_geometry.packed_shapes`, each inside one of `balls` (m, 4), all in the base frame.
     """
     height, width = depth.shape
     turn, place = view.turn, view.place

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry import rows
+from zarm_geometry import packed_shapes
 from zarm_geometry.allowed_collisions import EVERY_LINK
 from zarm_geometry.kernels.kinematics import frames
 from zarm_geometry.robot_model import RobotModel
@@ -75,7 +75,7 @@ def find_disconnection(
     every = np.flatnonzero(world.arrays.checked == EVERY_LINK)  # what some links may touch proves nothing
     if not len(every):
         return None
-    lower, upper = rows.bounds(world.rows[every])
+    lower, upper = packed_shapes.bounds(world.rows[every])
     widest = np.sort(upper - lower, axis=1)[:, 1:].prod(axis=1)
     largest = every[np.argsort(-widest, kind="stable")[:_MOST_SHAPES]]
     shapes, owner = world.rows[largest], world.owner[largest]
@@ -178,7 +178,7 @@ class _Grid:
             else:
                 lever = np.ones_like(moved)
             moved += np.where(balls.joint >= joint, half[joint] * lever, 0.0)
-        distance = rows.distances(centre.reshape(-1, 3), self._shapes).reshape(*moved.shape, -1)
+        distance = packed_shapes.distances(centre.reshape(-1, 3), self._shapes).reshape(*moved.shape, -1)
         distance = (distance + (moved - balls.radius)[..., None]).min(axis=1)
         nearest = np.argmin(distance, axis=1)
         return np.where(distance[np.arange(len(cells)), nearest] < 0.0, nearest, -1)
@@ -201,7 +201,7 @@ def _inner_balls(model: RobotModel) -> _Balls:
             middle = along @ pose[:3, :3].T + pose[:3, 3]
             axis = np.outer(_ON_AXIS, (0.0, 0.0, 1.0))
             points = np.concatenate([middle, axis]) if model.revolute[body.joint] else middle
-            found.append((body.joint, points, -rows.distances(points, row)[:, 0]))
+            found.append((body.joint, points, -packed_shapes.distances(points, row)[:, 0]))
     joint = np.array([joint for joint, points, _ in found for _ in points], np.int32)
     centre = np.concatenate([points for _, points, _ in found] or [np.empty((0, 3))])
     radius = np.concatenate([depth for *_, depth in found] or [np.empty(0)])

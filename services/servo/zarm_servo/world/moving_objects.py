@@ -13,7 +13,7 @@ import numpy as np
 from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest, Problem, ZarmError
 from zarm_contract.messages import ObjectPose, SceneObject, Sphere, Vector3, Voxels
-from zarm_geometry import rows
+from zarm_geometry import packed_shapes
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.situation import MovingObject
 from zarm_geometry.world import convex_shapes
@@ -172,7 +172,7 @@ class MovingObjects:
                 f"{item.name} has {len(shapes)} triangles (at most {_SHAPES} can move); add a simpler mesh or a primitive",
                 field="name",
             )
-        lower, upper = rows.bounds(shapes)
+        lower, upper = packed_shapes.bounds(shapes)
         center = np.array(message.position)
         far = np.maximum(np.abs(lower - center), np.abs(upper - center)).max(axis=0)
         return placed, float(np.linalg.norm(far))

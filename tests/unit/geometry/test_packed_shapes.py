@@ -10,7 +10,7 @@ import trimesh
 from support.planner.sphere_model import distance as gap_to
 from support.planner.sphere_model import random_objects
 from zarm_contract.collision import CollisionCuboid, CollisionCylinder
-from zarm_geometry import rows
+from zarm_geometry import packed_shapes
 from zarm_geometry.kernels.collision import squared_distance
 from zarm_geometry.kernels.convex import core_gap
 from zarm_geometry.kernels.simd import LANES, load, pointer, store
@@ -56,12 +56,12 @@ def test_the_distance_to_a_triangle_is_that_of_trimesh() -> None:
             corners[0, 2] = corners[0, 0] + 0.7 * (corners[0, 1] - corners[0, 0]) + 1e-4 * rng.normal(size=3)
         points = rng.normal(size=(LANES * 20, 3))
         points[: LANES * 5] = rng.dirichlet((1, 1, 1), LANES * 5) @ corners[0]
-        triangle = rows.triangles(corners)
+        triangle = packed_shapes.triangles(corners)
         assert len(triangle) == 1
         nearest = trimesh.triangles.closest_point(np.repeat(corners, len(points), axis=0), points)
         expected = np.linalg.norm(nearest - points, axis=1)
         np.testing.assert_allclose(kernel_distances(triangle[0], points), expected, rtol=1e-4, atol=2e-6)
-        np.testing.assert_allclose(rows.distances(points, triangle)[:, 0], expected, atol=1e-6)
+        np.testing.assert_allclose(packed_shapes.distances(points, triangle)[:, 0], expected, atol=1e-6)
 
 
 def test_distances_to_shapes_are_signed() -> None:
@@ -69,7 +69,7 @@ def test_distances_to_shapes_are_signed() -> None:
     objects = random_objects(40, 0.4, rng)
     points = rng.uniform(-1.2, 1.2, (30, 3))
     world = World(objects, 0.0)
-    found = rows.distances(points, world.rows)
+    found = packed_shapes.distances(points, world.rows)
     expected = np.column_stack([gap_to(objects[owner], points) for owner in world.owner])
     np.testing.assert_allclose(found.clip(0.0), expected, atol=1e-9)
     assert np.any(found < 0.0)
@@ -78,13 +78,13 @@ def test_distances_to_shapes_are_signed() -> None:
 def test_a_packed_triangle_gives_back_its_corners() -> None:
     corners = np.random.default_rng(1).normal(size=(50, 3, 3))
     pose = trimesh.transformations.compose_matrix(angles=(0.3, 1.0, -2.0), translate=(1.0, -2.0, 0.5))
-    moved = rows.placed(rows.triangles(corners), pose)
+    moved = packed_shapes.placed(packed_shapes.triangles(corners), pose)
     expected = trimesh.transform_points(corners.reshape(-1, 3), pose).reshape(-1, 3, 3)
-    for found, wanted in zip(rows.corners(moved), expected, strict=True):
+    for found, wanted in zip(packed_shapes.corners(moved), expected, strict=True):
         apart = np.linalg.norm(found[:, None] - wanted, axis=2)
         assert apart.min(axis=1).max() < 1e-12
         assert apart.min(axis=0).max() < 1e-12
-    lower, upper = rows.bounds(moved)
+    lower, upper = packed_shapes.bounds(moved)
     np.testing.assert_allclose(lower, expected.min(axis=1), atol=1e-12)
     np.testing.assert_allclose(upper, expected.max(axis=1), atol=1e-12)
 
@@ -94,7 +94,7 @@ def test_triangles_that_are_only_lines_are_left_out() -> None:
     corners[1, 2] = corners[1, 1]
     corners[2, 2] = 0.3 * corners[2, 0] + 0.7 * corners[2, 1]
     corners[3] = corners[3, 0]
-    assert len(rows.triangles(corners)) == 1
+    assert len(packed_shapes.triangles(corners)) == 1
 
 
 @pytest.mark.lengthy
@@ -106,7 +106,7 @@ def test_triangle_distance_bounds_enclose_fcl_s() -> None:
     for number in range(400):
         part = link_shape("link", can if number % 2 else box)
         size, far = rng.choice([0.02, 0.3, 1.0]), rng.choice([0.05, 0.5])
-        row = rows.triangles(far * rng.normal(size=(1, 1, 3)) + size * rng.normal(size=(1, 3, 3)))[0]
+        row = packed_shapes.triangles(far * rng.normal(size=(1, 1, 3)) + size * rng.normal(size=(1, 3, 3)))[0]
         triangle = obstacle_shape("triangle", row)
         between = np.linalg.inv(triangle.pose) @ part.pose
         lower, upper = bounds(between[:3, 3], between[:3, :3], np.array((*part.core, part.disc)), row[12:16])
@@ -127,5 +127,5 @@ def test_depth_in_a_plate_is_the_shortest_way_out() -> None:
     for x in (0.09, 0.03, 0.0):
         corners = np.array([[(x, -0.1, -0.1), (x, 0.2, 0.0), (x, 0.0, 0.2)]])
         for turned in (corners, corners[:, ::-1]):
-            triangle = obstacle_shape("plate", rows.triangles(turned)[0])
+            triangle = obstacle_shape("plate", packed_shapes.triangles(turned)[0])
             assert distance(part, part.pose, triangle, triangle.pose) == pytest.approx(x - 0.1, abs=1e-5)
