@@ -16,7 +16,7 @@ _TURNS = 36
 def boxes_around(
     points: Sequence[Vector3], resolution: float, largest: float, floor: float | None, prefix: str
 ) -> list[Cuboid]:
-    """The upright boxes around the clusters of voxels, given by their centres (m), from the largest cluster to the smallest."""
+    """Axis-aligned upright boxes around clusters of voxels, largest first; the voxels are given by their centres (m)."""
     try:
         import numpy as np
         from scipy import ndimage

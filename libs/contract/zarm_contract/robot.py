@@ -73,7 +73,7 @@ class RobotDescription:
         return first.tip_link or self.tip_of(first.groups)
 
     def check_tip(self, group: str | None, field: str = "group") -> None:
-        """Raises InvalidRequest that names the `field` unless a group has one tip; without one, unless all joints move the only tip."""
+        """Raise InvalidRequest for `field` unless the group has exactly one tip; without a group, unless the robot has one tip that all joints move."""
         groups = self.descriptor.groups
         if group is None:
             named = [name for name, one in groups.items() if one.tip_link is not None]

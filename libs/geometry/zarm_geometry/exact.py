@@ -197,7 +197,7 @@ class ExactScene:
         return self.model.parts[part][1].name, name
 
     def _measure(self, q: Array, part: int, other: int, upper: float) -> float:
-        """Distance (m) of a part and the `other` of `clearance.look`, which is at most `upper`."""
+        """Exact distance (m) between a part and `other` of `clearance.look`, given the upper bound `upper`."""
         shape, pose, other_shape, other_pose = self._placed(q, part, other)
         return distance(shape, pose, other_shape, other_pose, upper)
 

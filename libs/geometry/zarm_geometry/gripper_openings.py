@@ -1,4 +1,4 @@
-"""The measured openings of the grippers, as collision geometry takes them."""
+"""Measured gripper openings, in the form that collision checks need."""
 
 from __future__ import annotations
 

@@ -327,7 +327,7 @@ class RobotModel:
 
     @cached_property
     def _covers(self) -> dict[str, tuple[Array, Array]]:
-        """By body, balls around its exact shapes, and a ball around these, in its own frame."""
+        """For each body, bounding spheres of its exact shapes and one sphere around these, in the frame of the body."""
         if self.whole is not None:
             return self.whole.model._covers
         covers = {}

@@ -112,7 +112,7 @@ def _path(robot: Description, base: str, link: str) -> list[Joint]:
 def _poses(
     robot: Description, chain: Chain, followers: Mapping[str, tuple[float, float]], value: float, moving: Sequence[str]
 ) -> dict[str, Array]:
-    """The pose (4, 4) of each link in the arm's last carrier, with the driven joint at `value`."""
+    """The pose (4, 4) of each link relative to the last link of the arm, with the driven joint at `value`."""
     placed = {mounted.link: mounted.pose for mounted in chain.mounted}
     stands = dict(chain.fixed)
     for link in moving:

@@ -233,7 +233,7 @@ def _triangles(source: Source, geometry: Geometry, link: str) -> tuple[Array, Pa
 
 
 def _thickened(triangles: Array) -> tuple[Array, bool]:
-    """Triangles that all lie in a plane as the two sides of a thin solid, and whether they do."""
+    """Whether all triangles lie in one plane; if so, they are returned as both faces of a thin plate."""
     points = triangles[np.isfinite(triangles).all(axis=(1, 2))].reshape(-1, 3)
     points = points - points.mean(axis=0)
     spread, axes = np.linalg.eigh(points.T @ points)

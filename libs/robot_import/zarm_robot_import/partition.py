@@ -43,5 +43,5 @@ class Partition:
         return Out.together(list(self.outs.values()))
 
     def excess(self) -> float:
-        """How many times as far as wanted they protrude."""
+        """By how many times the wanted distance they protrude."""
         return self.measure.goal.excess(self.out())

@@ -102,7 +102,7 @@ def outer_points(rows: Array, count: int) -> Array:
 
 
 def protrusion(ball: Array, rows: Array) -> float:
-    """How far (m) a ball (4,) stands out of the union of shapes (m, 17), measured at points on its surface."""
+    """How far (m) a ball (4,) protrudes from the union of the shapes (m, 17), measured at points on its surface."""
     return -float(depths(outer_points(ball_rows(ball[None]), _SURFACE), rows).min())
 
 
@@ -256,7 +256,7 @@ def _moved(link: _Link, balls: Array, steps: Collection[float]) -> Array:
 
 
 def _completed(link: _Link, balls: Array) -> Array:
-    """The balls, fitted to many more points, so that the proof has little to add."""
+    """The balls refitted to many more points, so that the exact check has to enlarge them little."""
     more = _points_of(link.rows, _MORE_POINTS, _MORE_INNER)
     for steps in (_LAST_STEPS, _LAST_STEPS, _LAST_STEPS, ()):
         owner = _nearest(more, balls)

@@ -189,7 +189,7 @@ class Service:
         return [instance for _, _, instance in alive if instance != self.instance]
 
     def taken(self, others: list[str]) -> Unavailable:
-        """The error to raise if these instances own the robot."""
+        """The error for a robot that these instances already own."""
         return Unavailable(
             f"a {self.name} for the robot {self.keys.robot} is already on this bus (instance {min(others)}); "
             "stop it, or start this one under another --name"

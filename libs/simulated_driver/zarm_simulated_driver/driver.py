@@ -70,7 +70,7 @@ class Arm(Protocol):
         ...
 
     def displace(self, offset: Array) -> None:
-        """Be elsewhere at once, by `offset` (J,) rad."""
+        """Jump by `offset` (J,) rad, to simulate a fault."""
         ...
 
     def push(self, force: Vector3 | None) -> None:

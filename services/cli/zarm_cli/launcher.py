@@ -328,7 +328,7 @@ def up(
         ) as stack,
     ):
         stack.wait_ready(lambda _: None)  # the services' own log lines report it
-        _say_ready(stack)
+        _say_ready(stack, joined=connect is not None)
         stack.wait()
 
 
@@ -357,11 +357,13 @@ def _typed(context: typer.Context, name: str) -> bool:
     return source is not None and source.name == "COMMANDLINE"
 
 
-def _say_ready(stack: Stack) -> None:
+def _say_ready(stack: Stack, *, joined: bool) -> None:
     client = stack.client
     first, *rest = stack.robot.descriptor.home
     endpoint = client.connection.bus.endpoint
     where = "" if endpoint == resolved_endpoint(DEFAULT_ENDPOINT) else f" --connect {endpoint}"
+    if joined:  # the bus may have other robots
+        where += f" --name {client.name}"
     out.print(
         facts(
             ("robot", client.name),

@@ -66,7 +66,7 @@ class Output:
             return self._waits(time.monotonic())
 
     def wait(self) -> OutputState:
-        """Its state when the driver has confirmed the last command, or has not in time."""
+        """The state of an output once the driver has confirmed the last command, or has failed to in time."""
         with self._changed:
             while self._waits(time.monotonic()):
                 self._changed.wait(max(self._due - time.monotonic(), 0.0))

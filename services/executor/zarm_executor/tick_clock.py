@@ -27,7 +27,7 @@ class TickClock:
         self._begun: float | None = None
 
     def advance(self, now: float) -> float:
-        """A tick at `now`; returns the time (s) since the one before, or since a motion has begun; 0 for the first."""
+        """Register a tick at `now` and return the time (s) since the last tick or, if later, since the motion began; 0 for the first tick."""
         dt = 0.0 if math.isinf(self.now) else now - self.now
         self.now = now
         if dt > _SUSPENSION:

@@ -21,7 +21,7 @@ _LEAST = 0.05
 
 
 class SimulationView:
-    """Draws the objects of the simulation that the scene has not, and those that move, and a line for each force."""
+    """Draws the simulated objects that move or are not in the scene, and a line for each contact force."""
 
     def __init__(self, panels: PanelContext, meshes: tuple[Path, ...]) -> None:
         self._panels, self._meshes = panels, meshes

@@ -61,7 +61,8 @@ def test_a_second_up_for_the_same_robot_is_refused(up: Up) -> None:
 
 @pytest.mark.slow  # two names on a bus are in executor/test_goals.py and client/test_robot.py
 def test_a_second_robot_joins_the_bus_under_another_name(up: Up, tmp_path: Path) -> None:
-    with Up(up.endpoint, tmp_path, joins=True, name="left"):
+    with Up(up.endpoint, tmp_path, joins=True, name="left") as joined:
+        assert f"--connect {up.endpoint} --name left" in joined.output(), "the example is for this robot"
         unclear = zarm("status", ZARM_CONNECT=up.endpoint)
         assert unclear.returncode == 1
         assert f"{ROBOT}, left" in the_one_line(unclear.stderr)

@@ -105,7 +105,7 @@ class JointSpeedTarget(Message):
 
 
 class JointTarget(Message):
-    """Bring the joints to `position` (rad), which itself moves with `velocity` (rad/s), left out: as from the targets before to this one."""
+    """Move the joints to `position` (rad), a target that itself moves with `velocity` (rad/s; default: estimated from the last targets)."""
 
     kind: Literal["joints"]
     position: Joints

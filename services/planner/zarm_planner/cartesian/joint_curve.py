@@ -34,7 +34,7 @@ class JointCurve:
 
     @classmethod
     def of(cls, curve: ToolCurve, path: Array) -> Self:
-        """The curve through the joints `path` (n, dof) at the stations of the tool's curve."""
+        """The curve in joint space through `path` (n, dof), the configurations at the samples of the tool's curve."""
         measured = _measured(curve)
         sections = []
         for first, last in curve.sections:

@@ -112,8 +112,8 @@ def blocked_goal(context: PlanningContext, tried: Sequence[Array], field: str) -
 
 
 def rest_end(context: PlanningContext, q: Array, constraint: ConstraintManifold | None) -> End | None:
-    """The end at `q`, which is free of collision; None if no way within the constraint leads from it to a configuration
-    free in spheres.
+    """The end at the collision-free `q`; None if no motion within the constraint leads from it to a configuration that
+    the sphere check calls free.
     """
     return _end(context, q, constraint)
 

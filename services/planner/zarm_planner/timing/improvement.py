@@ -67,7 +67,7 @@ class Improvement:
         return None
 
     def _develop(self, deadline: Deadline) -> None:
-        """One round: a new route, and more shortcuts on the best motion."""
+        """One round of optimisation: search another route, and shortcut the best motion further."""
         seed = self.seed + 2 * self._round
         if (route := self.routes(self._round)) is not None:
             path, vias = route

@@ -1,4 +1,4 @@
-"""Connects a robot's driver: its ROS topics to and from `driver/*` on the bus."""
+"""Connects the ROS topics of a robot's driver to the keys `driver/*` on the bus."""
 
 from __future__ import annotations
 

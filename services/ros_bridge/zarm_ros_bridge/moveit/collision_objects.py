@@ -247,7 +247,7 @@ def _solids(part: SceneObject) -> Iterator[tuple[int, list[float], Array]]:
 
 
 def _ros_mesh(part: Mesh) -> Any:
-    """The triangles of a mesh that carries its file, times its scale."""
+    """The scaled triangles of a mesh whose message contains the file."""
     read = mesh_files.read(part.file, b64decode(part.data or ""))
     vertices, faces = np.unique((read.triangles * part.scale).reshape(-1, 3).round(9), axis=0, return_inverse=True)
     return RosMesh(

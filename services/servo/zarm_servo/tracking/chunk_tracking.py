@@ -26,7 +26,7 @@ _LAG_SPEED = 0.05
 
 
 class ChunkTracking:
-    """Leads the robot of `controller`, inside `limits`, along the chunks that it is given; `measured` tells where the robot is."""
+    """Moves the robot of `controller` along the chunks received, within `limits`; `measured` returns where the robot is."""
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class ChunkTracking:
         return self._inbox.at(now) is not None
 
     def take(self, chunk: ServoChunk, limitation: Limitation) -> ChunkAccepted:
-        """Take a chunk, while `limitation` limits the robot. Raises InvalidRequest, see `ChunkInbox.receive`."""
+        """Accept a chunk; `limitation` is what limits the robot at present. Raises InvalidRequest, see `ChunkInbox.receive`."""
         now, unix = time.monotonic(), time.time()
         taken = self._inbox.receive(chunk, now, unix, max(self._next, now), self._controller.state[0])
         link, other = limitation.pair or (None, None)
