@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import Cuboid, Vector3
 
-_LEAST = 3
+_MIN_VOXELS = 3
 """Fewer voxels than these are noise."""
 _TURNS = 36
 """Ways to turn a box between which the smallest is chosen, over a right angle."""
@@ -41,7 +41,7 @@ def boxes_around(
         width, depth = (high - low)[best] + resolution
         bottom, top = members[:, 2].min() - resolution / 2.0, members[:, 2].max() + resolution / 2.0
         bottom = bottom if floor is None else min(floor, bottom)
-        if len(members) < _LEAST or max(width, depth, top - bottom) > largest:
+        if len(members) < _MIN_VOXELS or max(width, depth, top - bottom) > largest:
             continue
         x, y = 0.5 * (low + high)[best] @ axes[best]
         half = 0.5 * turns[best]

@@ -14,7 +14,7 @@ TAGS = ("kind", "op")
 SHAPES = ("listed", "packed", "bound", "keyword")
 """The tags of unions whose members are told apart by what they are: a list or a text, a number or a word."""
 
-_LONGEST = 100
+_MAX_COMPARED_LENGTH = 100
 """So much of an unknown field's name is compared with known ones: a payload of megabytes may be one name."""
 
 
@@ -69,7 +69,7 @@ def _known(model: type[BaseModel], location: Sequence[int | str]) -> str:
     """Which field may be meant by the last part of a location."""
     members = _members(_annotation(model, location[:-1]))
     fields = [name for member in members for name in getattr(member, "model_fields", ())]
-    close = difflib.get_close_matches(str(location[-1])[:_LONGEST], fields, 1)
+    close = difflib.get_close_matches(str(location[-1])[:_MAX_COMPARED_LENGTH], fields, 1)
     return f"; did you mean {close[0]}?" if close else "; docs/reference/messages.md lists the fields"
 
 

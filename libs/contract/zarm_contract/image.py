@@ -20,7 +20,7 @@ COUNTS, OF_ROBOT = 255, 128
 _MASK_COLUMNS = 160
 POINT_BYTES = 12
 """Bytes of a point: x, y, z."""
-_MOST = 1024
+_MAX_HEADER_BYTES = 1024
 """Longest header, in bytes."""
 
 
@@ -69,7 +69,7 @@ def _check_count(header: ImageHeader | ColorHeader, pixels: memoryview, sizes: M
 
 
 def _split(payload: bytes, model: type[M], what: str, follow: str) -> tuple[M, memoryview]:
-    end = payload.find(b"\n", 0, _MOST)
+    end = payload.find(b"\n", 0, _MAX_HEADER_BYTES)
     if end < 0:
         raise InvalidRequest(f"{what} begins with its header, a line of JSON; the {follow} follow", field="payload")
     return decode(model, payload[:end]), memoryview(payload)[end + 1 :]

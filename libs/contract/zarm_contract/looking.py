@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from zarm_contract.messages import Quaternion
 
-_SAME = 1e-9
+_PARALLEL_TOLERANCE = 1e-9
 
 
 def looking(eye: Sequence[float], at: Sequence[float]) -> Quaternion:
@@ -16,7 +16,7 @@ def looking(eye: Sequence[float], at: Sequence[float]) -> Quaternion:
         raise ValueError("a point has three coordinates: x, y and z in m")
     along = [there - here for there, here in zip(at, eye, strict=True)]
     length = math.hypot(*along)
-    if length < _SAME:
+    if length < _PARALLEL_TOLERANCE:
         raise ValueError("the camera would look at where it is; give another point")
     # From x right, y down and z forward of a level camera: first about the vertical, then up or down.
     heading = math.atan2(along[1], along[0])

@@ -21,7 +21,7 @@ JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", 
 _TYPES: dict[str, JointType] = {kind: kind for kind in get_args(JointType)}
 _LIMITED = ("revolute", "prismatic")
 _DRIVEN = ("revolute", "continuous", "prismatic")
-_SHORTEST = 1e-9
+_MIN_AXIS_LENGTH = 1e-9
 """Length of an axis, at least."""
 
 
@@ -192,7 +192,7 @@ def _axis(document: UrdfDocument, element: ET.Element, kind: JointType, owner: s
     x, y, z = document.numbers(axis, "xyz", 3, owner, (1.0, 0.0, 0.0))
     if kind in ("fixed", "floating"):
         return (1.0, 0.0, 0.0)  # it has no meaning, and exporters write 0 0 0
-    if (length := math.hypot(x, y, z)) < _SHORTEST:
+    if (length := math.hypot(x, y, z)) < _MIN_AXIS_LENGTH:
         where = element if axis is None else axis
         raise document.fault(where, f"{owner} has the axis {x:g} {y:g} {z:g}; give it a direction, such as 0 0 1")
     return (x / length, y / length, z / length)

@@ -26,17 +26,17 @@ from zarm_trajectory.arrays import Array
 
 RESOLUTION = 0.005
 """Along a motion whose samples are no further apart than this (m), nothing can go deeper into an object unnoticed."""
-FARTHEST = 1.0
+MAX_CLEARANCE = 1.0
 """Clearance (m) beyond which distances are not computed."""
 _SINGLE = 1e-6
 """Relative error of the boxes of the world's tree, due to single precision."""
-_LOOKS = 500
+_INTERVALS_PER_BATCH = 500
 """Stretches of a motion checked in one batch: 0.3 ms as a rule, and not 50 among tens of thousands of obstacles."""
 
 
 @dataclass(frozen=True)
 class Nearest:
-    """The smallest distance (m): negative for a penetration depth, and without a `pair` at FARTHEST.
+    """The smallest distance (m): negative for a penetration depth, and without a `pair` at MAX_CLEARANCE.
 
     `pair` names a link and what is nearest to it, a scene object or another link; `sample` is the index of the
     configuration. `shapes` are the indices of the two in `clearance.look`.
@@ -102,7 +102,7 @@ class ExactScene:
         for none too short.
         """
         q = np.array(q, np.float64, order="C", ndmin=2)
-        return self._nearest(q, check, self._asked if itself else self._asked_of_world, FARTHEST)
+        return self._nearest(q, check, self._asked if itself else self._asked_of_world, MAX_CLEARANCE)
 
     def is_free(self, q: ArrayLike, check: Callable[[], None] = lambda: None) -> bool:
         """Whether there is no collision at any of the configurations `q` (n, dof), or at one (dof,), as in `nearest`.
@@ -174,7 +174,9 @@ class ExactScene:
         """The same robot and obstacles for `kernels.nearby`."""
         return motion_body(self._body, self._asked, kept_margin(self.model)), self._obstacles, solids(self.world.rows)
 
-    def bounds(self, q: Array, check: Callable[[], None], asked: NDArray[np.bool_], within: float = FARTHEST) -> Array:
+    def bounds(
+        self, q: Array, check: Callable[[], None], asked: NDArray[np.bool_], within: float = MAX_CLEARANCE
+    ) -> Array:
         """Rows (m, 5) of `clearance.look` that include the smallest distance over `q` (n, dof), if it is below `within`
         (m).
         """
@@ -187,7 +189,7 @@ class ExactScene:
         over, looks = False, [found]
         while not over:
             check()
-            found, smallest, over = look(self._body, self._obstacles, motion, smallest, _LOOKS)
+            found, smallest, over = look(self._body, self._obstacles, motion, smallest, _INTERVALS_PER_BATCH)
             looks.append(found)
         return np.concatenate(looks)
 

@@ -23,7 +23,7 @@ from zarm_trajectory.arrays import Array
 
 MAX_TRIANGLES = 100_000
 MAX_BYTES = 32 * 1024 * 1024
-FARTHEST = 1e3
+MAX_VERTEX_DISTANCE = 1e3
 """No vertex is further (m) from the mesh's origin."""
 LARGE = 10.0
 """Beyond this size (m) a mesh is most likely in mm: a part of 10 mm would be as large as a hall."""
@@ -173,9 +173,9 @@ def _held(item: Mesh, content: bytes, field: str) -> _Read:
     used = read.triangles * item.scale
     if not np.isfinite(used).all():
         raise refused(f"{item.file} has vertices that are not numbers; export it again")
-    if np.abs(used).max() > FARTHEST:
+    if np.abs(used).max() > MAX_VERTEX_DISTANCE:
         raise refused(
-            f"{item.file} reaches further than {FARTHEST:g} m from its origin; meshes are in m, so give one that is in mm "
+            f"{item.file} reaches further than {MAX_VERTEX_DISTANCE:g} m from its origin; meshes are in m, so give one that is in mm "
             "the scale 0.001"
         )
     size = float(np.ptp(used.reshape(-1, 3), axis=0).max())

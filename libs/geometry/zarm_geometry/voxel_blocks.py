@@ -16,7 +16,7 @@ from zarm_contract.messages.perception import BLOCK
 MAP = f"{VOXEL_MAP}."
 """With this begin the names of its objects; the name of the block follows."""
 
-_AHEAD = 2.0
+_MAX_BLOCK_LEAD = 2.0
 """So long (s) a block may be ahead of the state of its map."""
 _CELLS = [*product(range(BLOCK), range(BLOCK), range(BLOCK))]
 """The voxels of a block in the order of its bits."""
@@ -55,7 +55,7 @@ class VoxelBlocks:
             gone = {
                 name
                 for name, item in self._objects.items()
-                if now - self._arrived[name] > _AHEAD and not _is_of(item, state)
+                if now - self._arrived[name] > _MAX_BLOCK_LEAD and not _is_of(item, state)
             }
             if not gone:
                 return

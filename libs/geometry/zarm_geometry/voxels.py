@@ -22,7 +22,7 @@ _BITS = 21
 _MIDDLE = 1 << (_BITS - 1)
 FARTHEST_CELL = _MIDDLE - 1
 """Largest absolute index of a cell. -_MIDDLE is left out, so that no code but that of a neighbour is one step away."""
-FARTHEST = 1e3
+MAX_CELL_DISTANCE = 1e3
 """Largest distance (m) of a cell from the origin of its frame."""
 
 
@@ -53,10 +53,10 @@ def _rows(triples: Sequence[tuple[T, T, T]], kind: type[S]) -> NDArray[S]:
 
 def check_reach(points: Array, field: str) -> None:
     """Refuse points (n, 3) that are unreasonably far away. Raises InvalidRequest."""
-    if np.abs(points).max(initial=0.0) > FARTHEST:
-        at = int(np.argmax(np.any(np.abs(points) > FARTHEST, axis=1)))
+    if np.abs(points).max(initial=0.0) > MAX_CELL_DISTANCE:
+        at = int(np.argmax(np.any(np.abs(points) > MAX_CELL_DISTANCE, axis=1)))
         raise InvalidRequest(
-            f"{field}.{at} is further than {FARTHEST:g} m from the origin of its frame; places are in m",
+            f"{field}.{at} is further than {MAX_CELL_DISTANCE:g} m from the origin of its frame; places are in m",
             field=f"{field}.{at}",
         )
 

@@ -16,7 +16,7 @@ from zarm_trajectory.arrays import Array
 
 _PIXELS = 100
 """Pixels along the edge of a square of the picture to print."""
-_FEWEST = 8
+_MIN_CORNERS = 8
 """Corners of the chessboard without which a view does not count."""
 
 
@@ -78,7 +78,7 @@ class Board:
         """The board in an image (h, w) or (h, w, 3); None where too little of it is seen."""
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         corners, ids, _, _ = self._detector.detectBoard(grey)
-        if ids is None or len(ids) < _FEWEST:
+        if ids is None or len(ids) < _MIN_CORNERS:
             return None
         points = np.asarray(self._charuco.getChessboardCorners(), np.float64)[ids.ravel()]
         pixels = np.asarray(corners, np.float64).reshape(-1, 2)

@@ -18,7 +18,7 @@ from zarm_hand_eye.solving import Solution, solve
 from zarm_hand_eye.viewpoints import viewpoints
 from zarm_trajectory.arrays import Array
 
-FEWEST = 5
+MIN_VIEWS = 5
 """Views without which the pose is not determined well."""
 MOST_ERROR = 2.0
 """Largest reprojection error (pixels, RMS) of a calibration that counts."""
@@ -64,8 +64,8 @@ def calibrate(
 
     Raises InvalidRequest for a camera that cannot be calibrated, or whose images contradict each other by more than MOST_ERROR, and leaves it where it was; Unavailable where it sees no board or too few poses are reached, and what planning and execution raise.
     """
-    if views < FEWEST:
-        raise InvalidRequest(f"{views} views do not determine the pose; use {FEWEST} or more", field="views")
+    if views < MIN_VIEWS:
+        raise InvalidRequest(f"{views} views do not determine the pose; use {MIN_VIEWS} or more", field="views")
     cell = _Cell.of(robot, camera, board or Board(), board_link)
     start = robot.joint_state().position
     cell.look()

@@ -14,7 +14,7 @@ import zarm
 from lerobot_robot_zarm.config import ZarmCameraConfig
 from zarm.perception import color_image
 
-_WAIT = 2.0
+_IMAGE_TIMEOUT = 2.0
 """Longest wait (s) for an image."""
 
 
@@ -52,9 +52,9 @@ class ZarmCamera(Camera):
         """An image that comes from now on: red, green and blue (h, w, 3). Raises what `async_read` raises."""
         with self._came:
             self._newest = None
-        return self.async_read(1000.0 * _WAIT)
+        return self.async_read(1000.0 * _IMAGE_TIMEOUT)
 
-    def async_read(self, timeout_ms: float = 1000.0 * _WAIT) -> NDArray[np.uint8]:
+    def async_read(self, timeout_ms: float = 1000.0 * _IMAGE_TIMEOUT) -> NDArray[np.uint8]:
         """The newest image (h, w, 3), at once if there is one: a policy must not wait for a slow camera. Raises ConnectionError before it is connected,
         zarm.Unavailable if none comes in time, and InvalidRequest for one of another size than stated.
         """

@@ -30,9 +30,9 @@ _SILENCE = 3.0
 """s without a state after which no physics runs."""
 _SETTLING = 5.0
 """Longest wait (s) for drives that settle."""
-_THERE = 0.002
+_START_TOLERANCE = 0.002
 """rad or m from the start of a motion within which it is made from there; the executor goes to the start first."""
-_STILL = 0.005
+_REST_VELOCITY = 0.005
 """rad/s or m/s of a joint that rests,"""
 _RESTING = 1.0
 """and for how long (s): a change of the scene comes to the physics some tenths of a second later."""
@@ -83,7 +83,7 @@ class Twin:
             robot.scene.set_object_collision(*passed_over, enabled=True)
         robot.scene.apply(SceneEdit(edit=LoadScene(op="load", objects=scene.objects)))
         self._await_rest()  # what it pressed on may be gone
-        if not np.allclose(robot.joint_state().position, start, rtol=0.0, atol=_THERE):
+        if not np.allclose(robot.joint_state().position, start, rtol=0.0, atol=_START_TOLERANCE):
             robot.execute(robot.plan(start))
         self._open_as(grippers)
         for one in scene.attached:
@@ -119,7 +119,7 @@ class Twin:
         began = moved = time.monotonic()
         for state in self._robot.joint_states():
             now = time.monotonic()
-            if max(map(abs, state.velocity)) > _STILL:
+            if max(map(abs, state.velocity)) > _REST_VELOCITY:
                 moved = now
             elif now > moved + _RESTING:
                 return

@@ -16,7 +16,7 @@ from zarm_trajectory.arrays import Array
 
 LARGEST = 20.0
 """A link larger than this, or a joint further than this (m) from its parent link, must be in millimetres."""
-FARTHEST = 100.0
+MAX_FIXED_POSITION = 100.0
 """Largest position (rad, m) at which a joint without limits may be fixed."""
 MOST_JOINTS = 32
 """The most that a descriptor takes."""
@@ -463,7 +463,7 @@ def _check_fixed(
             )
         low, high = every[name].lower, every[name].upper
         if low is None or high is None or low >= high:
-            low, high = -FARTHEST, FARTHEST
+            low, high = -MAX_FIXED_POSITION, MAX_FIXED_POSITION
         if not low - 1e-6 <= value <= high + 1e-6:
             raise InvalidRequest(
                 f"{robot.source.path}: {name}={value:g} is outside of the joint's limits, {low:g} to {high:g}; choose a position within",

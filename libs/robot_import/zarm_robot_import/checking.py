@@ -33,7 +33,7 @@ _FILLED_SHARE, _OUTSIDE_SHARE = 0.35, 0.2
 """... and from a large link by this share of its length; the second one if its centre is most likely outside the link."""
 _CENTRE_OUTSIDE = 0.9
 """A sphere that protrudes by more than this share of its radius most likely has its centre outside the link."""
-APART = 0.1
+MAX_NEIGHBOUR_DISTANCE = 0.1
 """Neighbouring links that are never closer than this (m) most likely have a wrong frame, axis or unit."""
 RARELY = 0.02
 """If a smaller share of all configurations is free, something is nearly always in contact."""
@@ -185,7 +185,7 @@ def _neighbours(model: RobotModel, q: Array) -> Iterator[str]:
             for i, a in carrier
             for j, b in carried
         )
-        if nearest > APART:
+        if nearest > MAX_NEIGHBOUR_DISTANCE:
             names = [model.links[parts[0][0]] for parts in (carrier, carried)]
             yield (
                 f"collision.{names[1]}: it never comes nearer than {1e3 * nearest:.0f} mm to {names[0]}, which carries it; look at the "

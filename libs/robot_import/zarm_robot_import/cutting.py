@@ -10,7 +10,7 @@ from zarm_trajectory.arrays import Array
 
 _CUTS = 5
 """Planes tried along each axis."""
-_FEWEST = 25
+_MIN_POINTS_PER_SIDE = 25
 """Least number of points on each side of a plane."""
 
 
@@ -26,7 +26,7 @@ def halves(cell: Cell, axes: Array, body: Body, outside: tuple[Array, Array]) ->
 
     def left(axis: Array, offset: float) -> float:
         below = cell.points @ axis < offset
-        if not _FEWEST <= np.count_nonzero(below) <= len(below) - _FEWEST:
+        if not _MIN_POINTS_PER_SIDE <= np.count_nonzero(below) <= len(below) - _MIN_POINTS_PER_SIDE:
             return np.inf
         out = 0.0
         for points in (cell.points[below], cell.points[~below]):

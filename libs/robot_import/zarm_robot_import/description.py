@@ -16,7 +16,7 @@ from zarm_contract.urdf_elements import account_for
 from zarm_robot_import.source import Source
 from zarm_trajectory.arrays import Array
 
-_LONGEST = 200
+_MAX_NAME_LENGTH = 200
 """Characters of a link's name; YAML takes no key of more than 1024."""
 
 
@@ -189,8 +189,10 @@ def _left_out(source: Source, link: Link, carried: dict[str, Joint]) -> str:
 
 def _link(source: Source, element: ET.Element) -> Link:
     name = source.attribute(element, "name")
-    if len(name) > _LONGEST:
-        raise source.fault(element, f"the name of a link has {len(name)} characters, more than {_LONGEST}; shorten it")
+    if len(name) > _MAX_NAME_LENGTH:
+        raise source.fault(
+            element, f"the name of a link has {len(name)} characters, more than {_MAX_NAME_LENGTH}; shorten it"
+        )
     urdf.read_inertial(source, element)
     found = {tag: tuple(_geometries(source, element, tag, name)) for tag in ("visual", "collision")}
     return Link(name, element, **found)

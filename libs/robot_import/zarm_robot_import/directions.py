@@ -9,7 +9,7 @@ import numpy as np
 from zarm_geometry.frames import rotation_to
 from zarm_trajectory.arrays import Array
 
-_SAME = math.cos(math.radians(1.0))
+_SAME_AXIS_COSINE = math.cos(math.radians(1.0))
 """Axes whose angle has a larger cosine count as the same."""
 _ORDERS = ([1, 2, 0], [2, 0, 1], [0, 1, 2])
 
@@ -24,7 +24,7 @@ def axes_of(points: Array, triangles: Array, known: Array) -> Array:
     main = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2].T
     main[:, 2] *= np.linalg.det(main)  # right-handed
     for triple in (*(() if found else (np.eye(3),)), main, _faces(triangles)):
-        if not found or np.abs(triple.T @ np.concatenate(found, axis=1)).max(axis=1).min() < _SAME:
+        if not found or np.abs(triple.T @ np.concatenate(found, axis=1)).max(axis=1).min() < _SAME_AXIS_COSINE:
             found.append(triple)
     return np.array([triple[:, order] for triple in found for order in _ORDERS])
 

@@ -17,9 +17,9 @@ from zarm_trajectory.arrays import Array
 
 _STEPS = 25
 """Positions of the driven joint in which the opening is measured."""
-_LEAST = 0.004
+_MIN_STROKE = 0.004
 """A gripper opens at least this far (m)."""
-_SAME = 2e-4
+_OPENING_TOLERANCE = 2e-4
 """Openings (m) that differ by less are the same."""
 _STRAIGHT = 2e-4
 """How far (m) the opening may be from the straight line between two given ones."""
@@ -80,12 +80,12 @@ def find_gripper(
     values = np.linspace(low, high, _STEPS)
     poses = [_poses(robot, chain, followers, value, moving) for value in values]
     pads, widths = _opening(robot, chain, fingers, poses, {surface.link: surface.triangles for surface in surfaces})
-    if pads is None or np.ptp(widths) < _LEAST:
+    if pads is None or np.ptp(widths) < _MIN_STROKE:
         return None
     if widths[0] > widths[-1]:
         values, widths = values[::-1], widths[::-1]
     positions, openings = _monotonic(values, widths)
-    if len(positions) < 2 or openings[-1] - openings[0] < _LEAST:
+    if len(positions) < 2 or openings[-1] - openings[0] < _MIN_STROKE:
         return None
     del followers[driven.name]
     return ImportedGripper(driven, followers, positions, openings, pads, _travel(fingers, moving, poses))
@@ -143,7 +143,7 @@ def _opening(
         for other in links[i + 1 :]:
             if branch[one] != branch[other]:
                 widths = np.array([_distance(objects, one, other, placed) for placed in poses])
-                if np.ptp(widths) > np.ptp(best[1]) + _SAME:
+                if np.ptp(widths) > np.ptp(best[1]) + _OPENING_TOLERANCE:
                     best = (one, other), widths
     if best[0] is not None or len(links) != 1:
         return best
@@ -179,8 +179,8 @@ def _monotonic(values: Array, widths: Array) -> tuple[tuple[float, ...], tuple[f
     """As few positions and openings as describe the way from closed to open; of a jaw that is closed over a part of its way only the
     end of that.
     """
-    first = int(np.flatnonzero(widths <= widths.min() + _SAME)[-1])
-    last = int(np.flatnonzero(widths >= widths.max() - _SAME)[0])
+    first = int(np.flatnonzero(widths <= widths.min() + _OPENING_TOLERANCE)[-1])
+    last = int(np.flatnonzero(widths >= widths.max() - _OPENING_TOLERANCE)[0])
     if last <= first or np.any(np.diff(widths[first : last + 1]) <= 0.0):
         return (), ()
     kept, at = [first], first

@@ -18,9 +18,9 @@ from zarm_robot_import.contacts import SAMPLES
 from zarm_trajectory.arrays import Array
 
 _STEP = 1e-4
-_SHORTEST = 0.001
+_MIN_REACH = 0.001
 """What reaches less far (m) is taken to reach so far."""
-_APART = 0.002
+_MIN_CLEARANCE = 0.002
 """Least distance (m) between links at home."""
 
 
@@ -66,7 +66,7 @@ def choose_home(
 
 
 def _is_free(model: RobotModel, q: Array) -> bool:
-    return is_free(model, World((), 0.005), q) and MotionCheck(model).check([0.0], [q], margin=_APART).free
+    return is_free(model, World((), 0.005), q) and MotionCheck(model).check([0.0], [q], margin=_MIN_CLEARANCE).free
 
 
 def _free(model: RobotModel) -> Iterator[Array]:
@@ -79,13 +79,13 @@ def _free(model: RobotModel) -> Iterator[Array]:
     best = sorted(zip(_score(model, candidates).tolist(), candidates.tolist(), strict=True), reverse=True)
     empty, exact, any_free = World((), 0.005), MotionCheck(model), False
     for _, q in best:
-        if is_free(model, empty, q) and exact.check([0.0], [q], margin=_APART).free:
+        if is_free(model, empty, q) and exact.check([0.0], [q], margin=_MIN_CLEARANCE).free:
             any_free = True
             yield np.array(q)
     if any_free:
         return
     nearest = (ExactScene(model, empty).nearest(q) for _, q in best[:_LOOKED_AT])
-    touching = Counter(found.pair for found in nearest if found.pair and found.distance < _APART)
+    touching = Counter(found.pair for found in nearest if found.pair and found.distance < _MIN_CLEARANCE)
     what = "the spheres of two links overlap"
     for (one, other), count in touching.most_common(1):
         what = f"what contains {one} and {other} overlaps in {count / _LOOKED_AT:.0%} of the {_LOOKED_AT} that were looked at"
@@ -106,7 +106,7 @@ def _score(model: RobotModel, q: Array) -> Array:
         moved = q.copy()
         moved[:, joint] += _STEP
         columns.append(_twist(tip, model.fk_tip(moved)) / _STEP)
-    reach = max(float(np.linalg.norm(tip[:, :3, 3], axis=1).max()), _SHORTEST)
+    reach = max(float(np.linalg.norm(tip[:, :3, 3], axis=1).max()), _MIN_REACH)
     jacobian = np.stack(columns, axis=2) / np.array([reach, reach, reach, 1, 1, 1])[:, None]
     smallest = np.linalg.svd(jacobian, compute_uv=False)[:, -1]
     # The tip in front of the base and above it, with no joint turned further than necessary.

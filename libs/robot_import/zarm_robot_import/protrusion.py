@@ -21,7 +21,7 @@ _LARGE = 0.15
 """... unless the link is smaller than this (m): then they may by as much less, since fingers reach into narrow places."""
 _SAMPLES = 400
 """Points on each primitive at which it is measured."""
-_EVERY = 10
+_FIRST_STRIDE = 10
 """One of so many of them is measured first."""
 
 
@@ -91,7 +91,7 @@ class Measure:
 
     def _few(self, row: Array, others: Array) -> float:
         """How far (m) the farthest of a few of the points on a primitive protrudes: enough to reject most that protrude too far."""
-        points = points_on(triangles_of(row), _SAMPLES)[0][::_EVERY]
+        points = points_on(triangles_of(row), _SAMPLES)[0][::_FIRST_STRIDE]
         points = points[~within(points, others, 1e-5)]
         out = self._body.surface.of(points)
         unsure = out > self.goal.mean

@@ -28,7 +28,7 @@ from zarm_trajectory.arrays import Array
 
 BUDGET = 80
 """Balls in the cover of the whole robot."""
-STANDING = 0.25
+BASE_WEIGHT = 0.25
 """Weight of the space around what stands on the base: the scene is checked only against the moving links."""
 OUTWARD = 1.2
 """Factor by which each joint increases the weight of the space around what it carries."""
@@ -61,7 +61,8 @@ def fit_covers(rows: Mapping[str, Array], carried: Mapping[str, int], budget: in
     They are at most `budget` in all, but at least one each. `carried` says how many joints carry each link.
     """
     links = {
-        link: _Link.of(table, OUTWARD ** carried[link] if carried[link] else STANDING) for link, table in rows.items()
+        link: _Link.of(table, OUTWARD ** carried[link] if carried[link] else BASE_WEIGHT)
+        for link, table in rows.items()
     }
     covers = {link: _around(each.points)[None] for link, each in links.items()}
     for _ in range(_ROUNDS):

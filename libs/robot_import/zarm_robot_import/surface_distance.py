@@ -14,7 +14,7 @@ _POINTS = 20_000
 """Points that are spread over the triangles, ..."""
 _NEAREST = 4
 """... and the number of nearest ones whose triangles are measured."""
-_FEW = 2000
+_SEARCH_POINTS = 2000
 """Points in the search for what sticks out."""
 
 
@@ -43,7 +43,7 @@ def sticks_out(inner: Array, outer: Array, least: float) -> float:
     """How far (m) the farthest of many points on the triangles `inner` is outside the surface `outer`; 0 if none is by
     more than `least` (m).
     """
-    points = points_on(inner, _FEW)[0]
+    points = points_on(inner, _SEARCH_POINTS)[0]
     bound = SurfaceDistance(outer).of(points)
     far = bound > least
     points, bound = points[far], bound[far]

@@ -19,7 +19,7 @@ ENDING = (signal.SIGTERM, signal.SIGINT)
 received: list[int] = []
 """Signals that have come since `expect`, by number."""
 
-_LONGEST = 3600.0
+_POLL_TIMEOUT = 3600.0
 """s, of one poll of the pipe; the system's millisecond clock overflows after 24 days."""
 
 _reader, _writer = os.pipe()
@@ -47,6 +47,6 @@ def wait(seconds: float = math.inf) -> None:
 
     It may end early: check the awaited condition, wait, and check again.
     """
-    _poll.poll(1000 * min(max(seconds, 0.0), _LONGEST))
+    _poll.poll(1000 * min(max(seconds, 0.0), _POLL_TIMEOUT))
     with suppress(BlockingIOError):
         os.read(_reader, 4096)

@@ -26,7 +26,7 @@ PAST = 2.0
 """How much (s) of a trajectory's past is kept: more than any strategy looks back for a robot that lags."""
 LONGEST_REST = 10.0
 """How long (s) a robot may wait at the end of its trajectory for the start of a chunk."""
-_APART = 1e-4
+_MIN_INTERVAL = 1e-4
 """Least time (s) between samples of a blended trajectory."""
 _CONTINUED = 1e-6
 """A trajectory continues another if position (rad), velocity and acceleration differ by no more than this, due to
@@ -79,7 +79,7 @@ def blended(
             code="limit_violated",
         )
     between = np.concatenate((before[:, :1], after[:, first : first + 1]), axis=1)
-    return _followed_by(trajectory, now, begin, between, chunk.begun_at(start), float(joins[first]), _APART)
+    return _followed_by(trajectory, now, begin, between, chunk.begun_at(start), float(joins[first]), _MIN_INTERVAL)
 
 
 def continued(trajectory: TimedTrajectory, now: float, other: TimedTrajectory, start: float) -> TimedTrajectory:
@@ -106,7 +106,7 @@ def _faded(chunk: TimedTrajectory, begin: float, offset: Array, limits: Limits) 
     """
     offsets = np.repeat(offset[:, None], len(BLENDS), axis=1)
     curve = fading = coefficients(offsets, np.zeros_like(offsets), BLENDS)
-    inside = begin + BLENDS < chunk.duration - _APART
+    inside = begin + BLENDS < chunk.duration - _MIN_INTERVAL
     for limit in (limits.velocity, limits.acceleration, limits.jerk):
         curve = derivative(curve) / BLENDS[:, None]
         inside &= (np.abs(control_points(curve)).max(axis=0) <= _SMALL * limit).all(axis=1)
@@ -114,7 +114,7 @@ def _faded(chunk: TimedTrajectory, begin: float, offset: Array, limits: Limits) 
         return None
     first = int(inside.argmax())
     took = float(BLENDS[first])
-    later = chunk.time[np.abs(chunk.time - begin - took) > _APART]
+    later = chunk.time[np.abs(chunk.time - begin - took) > _MIN_INTERVAL]
     times = np.sort(np.append(later[later > begin + _CLOSE], begin + took))
     rows = chunk.sample(times)
     fades = times < begin + took

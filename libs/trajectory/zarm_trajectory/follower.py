@@ -37,11 +37,11 @@ _LEAST_RATE_CHANGE = 1e-3
 """Least change of the rate, 1/s^2, with which it is brought back to zero when the path speed has almost reached its
 target.
 """
-_FARTHEST = 10
+_MAX_ROWS_AHEAD = 10
 """Most rows ahead in which a way back to a constant speed is searched."""
 _INSTANT = 1e-9
 """A time (s) in which nothing happens."""
-_THERE = 1e-9
+_SPEED_TOLERANCE = 1e-9
 """A path speed this close to its target has reached it."""
 
 
@@ -69,7 +69,7 @@ class Follower:
         self.rate = rate
         self.target = target
         self._limits = limits
-        self._ahead = min(2 + math.ceil(2 * limits.ramp / ROW), _FARTHEST)
+        self._ahead = min(2 + math.ceil(2 * limits.ramp / ROW), _MAX_ROWS_AHEAD)
         self._bounds = RateBounds.of(trajectory, limits)
         self._step: _Step | None = None
         self._reach()
@@ -193,7 +193,7 @@ class Follower:
         self._step = step._replace(left=left) if left > _INSTANT else None
         if self._step is None and step.level:
             self.rate = 0.0
-            if step.there or abs(self.target - self.speed) < _THERE:
+            if step.there or abs(self.target - self.speed) < _SPEED_TOLERANCE:
                 self.speed = self.target
         return time
 
@@ -222,7 +222,7 @@ class Follower:
         # With this rate a step later, `ease` would end exactly at the target.
         landing = view.ease * (math.sqrt(TICK * TICK / 4 + (2 * gap - view.rate * TICK) / view.ease) - TICK / 2)
         rate = max(min(view.most, landing), view.rate - max(view.shrink, needed) * TICK)
-        level = rate < 1e-12 or abs(gap - TICK * (view.rate + rate) / 2) < _THERE
+        level = rate < 1e-12 or abs(gap - TICK * (view.rate + rate) / 2) < _SPEED_TOLERANCE
         return _Step(TICK, view.way * (rate - view.rate) / TICK, self.target, level=level)
 
     def _pass(self, dt: float, change: float) -> None:

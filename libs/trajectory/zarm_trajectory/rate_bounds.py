@@ -37,7 +37,7 @@ measure.
 """
 _BEYOND = 1.01
 """A trajectory whose jerk exceeds the limit by more than this factor comes from a source that ignores it."""
-_STANDING = 1e-9
+_MIN_SLOPE = 1e-9
 """Slope of a trajectory (rad/s) below which a joint does not constrain the path speed."""
 _UNBOUNDED = 1e6
 """Bound where no joint is a constraint."""
@@ -153,7 +153,7 @@ class RateBounds:
         least_jerk = np.where(np.abs(twist) > _BEYOND * jerk, jerk, _SLACK * jerk)
         most_jerk = (1 + _SLACK) * jerk
         turn = 3 * bend
-        by_slope, by_turn = 1.0 / np.maximum(np.abs(slope), _STANDING), 1.0 / np.maximum(np.abs(turn), _STANDING)
+        by_slope, by_turn = 1.0 / np.maximum(np.abs(slope), _MIN_SLOPE), 1.0 / np.maximum(np.abs(turn), _MIN_SLOPE)
         leaning, turning = np.sign(slope) * by_slope, np.sign(turn) * by_turn
         rate = _remaining((1 + _SLACK) * limit * by_slope, _SLACK * limit * by_slope, (way * bend * leaning, _SQUARED))
         product = _remaining(most_jerk * by_turn, least_jerk * by_turn, (way * twist * turning, _CUBED))
@@ -164,7 +164,7 @@ class RateBounds:
             near = _remaining(most_jerk * by_slope, least_jerk * by_slope, of_trajectory)
             far = _remaining(most_jerk * by_slope, least_jerk * by_slope, of_trajectory, of_rate)
             columns.append(near)
-            losses.append(np.maximum(near - far, 0.0) / np.maximum(reach, _STANDING))
+            losses.append(np.maximum(near - far, 0.0) / np.maximum(reach, _MIN_SLOPE))
         cells = np.stack(columns + losses, axis=-1)
         table: _Table = np.concatenate((cells[:, :-1], np.diff(cells, axis=1)), axis=2).tolist()
         return table

@@ -45,9 +45,9 @@ class TimedTrajectory:
                 field="trajectory.joint_names",
             )
         time = np.array(trajectory.time)
-        if not np.all(np.diff(time) >= SHORTEST):
+        if not np.all(np.diff(time) >= MIN_INTERVAL):
             raise InvalidRequest(
-                f"the samples are less than {SHORTEST:g} s apart; leave some out", field="trajectory.time"
+                f"the samples are less than {MIN_INTERVAL:g} s apart; leave some out", field="trajectory.time"
             )
         order = [named.index(joint) for joint in joints]
         shape = len(time), len(joints)
@@ -162,7 +162,7 @@ class TimedTrajectory:
 
     def rest(self, time: float) -> Self:
         """What is left of the motion at `time` (s), which is before its end: from time 0 on, beginning in the state that it has then."""
-        later = self.time > time + _APART
+        later = self.time > time + _MIN_INTERVAL_AT_REST
         states = np.concatenate([self.at(time)[:, None], self.states[:, later]], axis=1)
         return type(self)(np.concatenate([[0.0], self.time[later] - time]), *states)
 
@@ -211,7 +211,9 @@ class TimedTrajectory:
         """
         index = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 2)
         step = self.steps[index]
-        if "coefficients" not in vars(self) and _FEW * len(times) < len(self.steps):  # often no others are ever needed
+        if "coefficients" not in vars(self) and _SPARSE_FACTOR * len(times) < len(
+            self.steps
+        ):  # often no others are ever needed
             begin, end = self._states_at(index), self._states_at(index + 1)
             coefficients = quintic.coefficients(begin, end, step)
         else:
@@ -234,11 +236,11 @@ _SWING = 0.375
 """The quintic from rest to a point with the acceleration a, over no distance, reaches -0.374 a on its way: the minimum
 of 3 u - 12 u^2 + 10 u^3.
 """
-_APART = 1e-3
+_MIN_INTERVAL_AT_REST = 1e-3
 """Samples that follow the beginning of a rest by less than this (s) are left out."""
-_FEW = 8
+_SPARSE_FACTOR = 8
 """As long as so many times fewer segments than there are were asked for at once, only those are computed."""
-SHORTEST = 1e-6
+MIN_INTERVAL = 1e-6
 """Least time between two samples, s."""
 NEGLIGIBLE = 1e-6
 """Distance (rad) that a robot may jump in one tick: 0.01 rad/s^2 at 100 Hz, below the noise of any encoder."""

@@ -9,9 +9,9 @@ from zarm_cli.output import out, print_json
 from zarm_contract.messages import JointDynamics
 from zarm_runtime.session import DEFAULT_ENDPOINT
 
-SPARE = 2.0
+LIMIT_FACTOR = 2.0
 """Factor from the largest difference seen to the limit."""
-LEAST = 0.5
+MIN_LIMIT = 0.5
 """Of a limit (Nm): below it, the noise of the measured efforts counts."""
 
 
@@ -31,7 +31,10 @@ def identify(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name:
 
 def limits(found: JointDynamics) -> list[float]:
     """Limits (Nm, N) that no motion should reach: twice what each joint differed by, and its friction, which is greater in cold gears."""
-    return [max(SPARE * most + friction, LEAST) for most, friction in zip(found.largest, found.friction, strict=True)]
+    return [
+        max(LIMIT_FACTOR * most + friction, MIN_LIMIT)
+        for most, friction in zip(found.largest, found.friction, strict=True)
+    ]
 
 
 def _listed(values: Iterable[float]) -> str:

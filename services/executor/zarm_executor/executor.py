@@ -29,7 +29,7 @@ from zarm_contract.robot import RobotDescription
 from zarm_executor.admission import REST_PATIENCE, Admission
 from zarm_executor.checks import continuation, executable, startable
 from zarm_executor.goal import Goal, Joined
-from zarm_executor.grip_stop import SHARE, GripStop
+from zarm_executor.grip_stop import REST_SHARE, GripStop
 from zarm_executor.grippers import Grippers
 from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
@@ -148,7 +148,7 @@ class Executor:
     def _stops(self, acts: Sequence[PlannedSegment]) -> Iterator[GripStop | OutputStop]:
         """Where a goal rests until a gripper has moved or an output is switched. Raises InvalidRequest for one that is not there."""
         for segment in acts:
-            until = segment.begin + SHARE * (segment.end - segment.begin)
+            until = segment.begin + REST_SHARE * (segment.end - segment.begin)
             if segment.grip is not None:
                 yield self._grippers.stop_at(until, segment.grip)
             if segment.output is not None:

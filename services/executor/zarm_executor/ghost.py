@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 
 PERIOD, REST_PERIOD = 0.02, 0.1
 """Periods of `preview/joint_states`, s: while a plan is played, and when it has ended."""
-LEAST = 0.2
+MIN_SHOWN_TIME = 0.2
 """Shortest time (s) for which a plan is shown: if plans come faster than anyone can see, only the newest is."""
 
 
@@ -56,7 +56,7 @@ class Ghost:
             self._trajectory = None
 
     def _play(self, now: float) -> None:
-        plan = self._next() if now - self._began > LEAST else None
+        plan = self._next() if now - self._began > MIN_SHOWN_TIME else None
         if plan is not None:
             self._begin(plan, now)
         trajectory = self._trajectory

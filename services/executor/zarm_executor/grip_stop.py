@@ -9,7 +9,7 @@ from zarm_contract.errors import Problem
 from zarm_contract.messages import GripperRequest, Hold, PlannedGrip
 from zarm_executor.gripper_control import GripperControl
 
-SHARE = 0.6
+REST_SHARE = 0.6
 """The robot is held within this share of the time for which it rests at a stop."""
 
 

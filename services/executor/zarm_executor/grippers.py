@@ -36,7 +36,7 @@ PERIOD = 0.02
 """Period (s) at which grippers are watched."""
 _PROGRESS_PERIOD = 0.05
 """Interval (s) at which the state of a moving gripper is published."""
-_SAME = 2e-4
+_OPENING_THRESHOLD = 2e-4
 """The opening at rest is published when it has changed by more than this (m)."""
 _AS_PLANNED = 0.0015
 """By how much (m) an opening may differ from the one that a plan was verified with, which is rounded to 1 mm."""
@@ -230,4 +230,4 @@ class Grippers:
 
 
 def _near(one: float | None, other: float | None) -> bool:
-    return one == other if one is None or other is None else abs(one - other) <= _SAME
+    return one == other if one is None or other is None else abs(one - other) <= _OPENING_THRESHOLD

@@ -20,7 +20,7 @@ LEAST_WAY = 0.1
 """A held goal resumes only when it may go at least this much further (s of path time), not millimetre by millimetre."""
 _TICKS = 2
 """Ticks until a stop takes effect."""
-_LOOK = 0.1
+_LOOK_AHEAD = 0.1
 """Look-ahead (s) of the test whether the robot could still stop in time, so that not every tick has to repeat it."""
 _POINT = 0.1
 """Time step (s) of the braking computation."""
@@ -45,7 +45,7 @@ class Limit:
             soon.time < self._free.time and state.speed <= self._free.speed and state.rate <= 0.0
         ):
             return False
-        further = soon.after(_LOOK)
+        further = soon.after(_LOOK_AHEAD)
         if state.rate == 0.0 and self._rest(further) < self.until:
             self._free = further
             return False

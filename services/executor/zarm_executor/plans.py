@@ -20,7 +20,7 @@ from zarm_contract.messages import (
     Trajectory,
 )
 
-REMEMBERED = 32
+PLANS_KEPT = 32
 """Number of plans that remain executable by id."""
 
 PUBLICATION_PATIENCE = 0.5
@@ -72,7 +72,7 @@ class Plans:
         with self._changed:
             self._plans[plan.plan_id] = plan
             self._plans.move_to_end(plan.plan_id)
-            if len(self._plans) > REMEMBERED:
+            if len(self._plans) > PLANS_KEPT:
                 self._plans.popitem(last=False)
             self._changed.notify_all()
 
@@ -128,7 +128,7 @@ class Plans:
             plan = self._plans.get(plan_id)
         if plan is None:
             raise InvalidRequest(
-                f"the plan {plan_id} is not among the last {REMEMBERED}; plan again and use the new plan_id",
+                f"the plan {plan_id} is not among the last {PLANS_KEPT}; plan again and use the new plan_id",
                 field="plan_id",
             )
         return plan

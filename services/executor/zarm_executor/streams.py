@@ -25,7 +25,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
 
-REMEMBERED = 256
+STREAMS_KEPT = 256
 """Number of begun or refused streams remembered, so that none begins a second time."""
 
 
@@ -112,7 +112,7 @@ class Streams:
     def _know(self, goal_id: str, *, logged: bool = False) -> None:
         """Remember a stream, and whether the log already says (`logged`) that a chunk of it was dropped."""
         self._known[goal_id] = logged
-        if len(self._known) > REMEMBERED:
+        if len(self._known) > STREAMS_KEPT:
             self._known.popitem(last=False)
 
 

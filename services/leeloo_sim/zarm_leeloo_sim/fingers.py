@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Mapping
 from zarm_contract.gripper import Gripper
 from zarm_contract.messages import DriverGripperCommand, DriverGripperState
 
-_SAME = 1e-6
-_EVERY = 5
+_POSITION_TOLERANCE = 1e-6
+_STEPS_PER_REPORT = 5
 """A gripper at rest is reported at every this many steps, a moving one at each."""
 
 
@@ -30,7 +30,7 @@ class Fingers:
         """Move for `dt` s, and report; fingers do not close further than `obstacle` (m)."""
         self._steps += 1
         for state, moves in self._stepped(dt, obstacle):
-            if moves or self._steps % _EVERY == 0:
+            if moves or self._steps % _STEPS_PER_REPORT == 0:
                 report(state)
 
     def _stepped(self, dt: float, obstacle: float | None) -> Iterator[tuple[DriverGripperState, bool]]:
@@ -41,11 +41,13 @@ class Fingers:
                 continue
             most = command.speed * dt
             after = before + min(max(command.position - before, -most), most)
-            stopped = obstacle is not None and gripper.width(after) < min(obstacle, gripper.width(before) + _SAME)
+            stopped = obstacle is not None and gripper.width(after) < min(
+                obstacle, gripper.width(before) + _POSITION_TOLERANCE
+            )
             if stopped and obstacle is not None:
                 after = gripper.position(min(obstacle, gripper.width(before)))
             self._positions[name] = after
-            there = abs(after - command.position) < _SAME
+            there = abs(after - command.position) < _POSITION_TOLERANCE
             yield (
                 DriverGripperState(
                     gripper=name,

@@ -14,11 +14,11 @@ from zarm_trajectory.arrays import Array
 
 _KEPT = 2000
 """Joint states that are kept: some seconds."""
-_AHEAD = 1.0
+_MAX_STAMP_LEAD = 1.0
 """A joint state that is stamped later (s) than this from now is not of this robot's clock."""
 _GAP = 0.1
 """Longest time (s) between two joint states of a robot that moves: in between, a joint that accelerates by 10 rad/s² is at most 0.7 deg off."""
-_STILL = 0.01
+_REST_TOLERANCE = 0.01
 """A robot whose joints differ by less than this (rad, m) stands."""
 
 
@@ -33,7 +33,7 @@ class JointHistory:
 
     def receive(self, _key: str, state: JointState) -> None:
         """Take what the robot has measured."""
-        if not {*self._joints} <= {*state.joint_names} or state.stamp > time.time() + _AHEAD:
+        if not {*self._joints} <= {*state.joint_names} or state.stamp > time.time() + _MAX_STAMP_LEAD:
             return
         order = [state.joint_names.index(name) for name in self._joints]
         with self._lock:
@@ -57,6 +57,6 @@ class JointHistory:
         if after == 0:
             return None
         (before, start) = states[after - 1]
-        if then - before > _GAP and np.abs(end - start).max() > _STILL:
+        if then - before > _GAP and np.abs(end - start).max() > _REST_TOLERANCE:
             return None
         return np.asarray(start + (stamp - before) / (then - before) * (end - start))

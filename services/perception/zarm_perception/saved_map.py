@@ -10,7 +10,7 @@ import numpy as np
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import LoadedMap, SavedMap
 from zarm_perception.kernels.integration import OCCUPIED
-from zarm_perception.voxel_map import MOST, VoxelMap
+from zarm_perception.voxel_map import MAX_VOXELS, VoxelMap
 
 _OFF_GRID = 0.01
 """How far the voxels of a saved map may lie off those of the map, in widths."""
@@ -41,8 +41,8 @@ def load(voxels: VoxelMap, saved: SavedMap) -> LoadedMap:
             field="lower",
         )
     size = int(np.prod(saved.shape))
-    if size > MOST:
-        raise InvalidRequest(f"{size} voxels; a map has at most {MOST}", field="shape")
+    if size > MAX_VOXELS:
+        raise InvalidRequest(f"{size} voxels; a map has at most {MAX_VOXELS}", field="shape")
     try:
         packed = zlib.decompressobj()
         states = np.frombuffer(packed.decompress(b64decode(saved.states, validate=True), size), np.uint8)

@@ -16,7 +16,7 @@ from zarm_geometry.gripper_openings import GripperOpenings
 from zarm_geometry.robot_model import RobotModel
 from zarm_perception.joint_history import JointHistory
 from zarm_perception.mapping import Mapping
-from zarm_perception.voxel_map import MOST, VoxelMap
+from zarm_perception.voxel_map import MAX_VOXELS, VoxelMap
 from zarm_perception.warm_up import warm_up
 from zarm_runtime.service import Service, run_service, service_parser
 
@@ -86,7 +86,7 @@ def _map(options: argparse.Namespace) -> VoxelMap:
     if not 0.0 <= options.padding <= 0.3:
         raise InvalidRequest(f"{options.padding:g} m is no padding; choose 0 to 0.3", field="--padding")
     lower, upper = np.array(numbers[:3]), np.array(numbers[3:])
-    if np.prod((upper - lower) / options.resolution) > MOST:
+    if np.prod((upper - lower) / options.resolution) > MAX_VOXELS:
         raise InvalidRequest(
             "the box has too many voxels; choose a smaller one, or a larger --resolution", field="--box"
         )

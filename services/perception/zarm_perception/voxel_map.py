@@ -40,7 +40,7 @@ class RobotShape(NamedTuple):
     balls: Array
 
 
-MOST = 100_000_000
+MAX_VOXELS = 100_000_000
 """Most voxels of a map."""
 _DIAGONAL = 3.0**0.5 / 2.0
 """From the centre of a voxel to its corner, in widths."""

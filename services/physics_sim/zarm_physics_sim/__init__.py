@@ -3,7 +3,7 @@
 import os
 from ctypes.util import find_library
 
-_WAYS = {"egl": "EGL", "osmesa": "OSMesa"}
+_BACKENDS = {"egl": "EGL", "osmesa": "OSMesa"}
 
 if "MUJOCO_GL" not in os.environ:
-    os.environ["MUJOCO_GL"] = next((way for way, library in _WAYS.items() if find_library(library)), "disable")
+    os.environ["MUJOCO_GL"] = next((way for way, library in _BACKENDS.items() if find_library(library)), "disable")

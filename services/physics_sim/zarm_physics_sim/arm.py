@@ -21,7 +21,7 @@ from zarm_simulated_driver.player import Player
 from zarm_trajectory.arrays import Array
 
 _STEPS = round(player.STEP / STEP)
-_EVERY = 2
+_STEPS_PER_REPORT = 2
 """A report is made at every this many steps of the player."""
 _FINGER_GAIN = 7500.0
 """Force of a gripper's drive per distance of the opening from the commanded one (N/m), up to the commanded force ..."""
@@ -138,7 +138,7 @@ class PhysicalArm:
                 effort += self._substep((place, speed, acceleration))
             self._effort = effort / _STEPS
             self._steps += 1
-            if self._steps % _EVERY == 0:
+            if self._steps % _STEPS_PER_REPORT == 0:
                 self._report(self._simulation)
 
     def _substep(self, reference: tuple[Array, Array, Array]) -> Array:

@@ -24,9 +24,9 @@ log = logging.getLogger(__name__)
 
 _NEAR, _FAR = 0.02, 50.0
 """What is nearer or farther (m) is not seen at all."""
-_MOST = 65.535
+_MAX_DEPTH = 65.535
 """The greatest depth (m) of a pixel."""
-_WAIT = 0.2
+_IDLE_PERIOD = 0.2
 """s until it is looked again whether there is a camera."""
 _PREPARED = 3.0
 """Longest wait (s) for the renderers of another world."""
@@ -81,7 +81,7 @@ def ranges(simulation: Simulation, camera: Camera, size: Intrinsics, data: Any) 
 
 
 def _millimetres(depth: NDArray[np.floating[Any]]) -> NDArray[np.uint16]:
-    return np.where((depth >= 0.0) & (depth < _MOST), np.rint(1000.0 * depth), 0.0).astype(np.uint16)
+    return np.where((depth >= 0.0) & (depth < _MAX_DEPTH), np.rint(1000.0 * depth), 0.0).astype(np.uint16)
 
 
 class ImagePublishers:
@@ -156,7 +156,7 @@ class SimulatedCameras:
                 for camera in soon:
                     due[camera.name] = max(due.get(camera.name, now), now - 1.0) + 1.0 / camera.rate
                     self._take(camera, renderers)
-                next_due = min((due[camera.name] for camera in cameras), default=now + _WAIT)
+                next_due = min((due[camera.name] for camera in cameras), default=now + _IDLE_PERIOD)
                 if self._changed.wait(max(0.0, next_due - time.monotonic())):
                     self._changed.clear()
         except Exception:  # without a way to render, or out of graphics memory: the robot goes on

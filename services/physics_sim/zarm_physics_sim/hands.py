@@ -7,11 +7,11 @@ from collections.abc import Callable
 from zarm_contract.messages import DriverGripperCommand, DriverGripperState
 from zarm_physics_sim.arm import GripperDrive, PhysicalArm
 
-_EVERY = 5
+_STEPS_PER_REPORT = 5
 """A gripper at rest is reported at every this many steps."""
-_THERE = 5e-4
+_POSITION_TOLERANCE = 5e-4
 """A joint this close to its command is there (rad, m)."""
-_STILL = 2e-3
+_REST_VELOCITY = 2e-3
 """A joint slower than this does not move (rad/s, m/s)."""
 _STALLED = 0.1
 """Fingers that do not move for this long have stalled, s."""
@@ -42,8 +42,8 @@ class PhysicalHands:
             position, velocity = self._position(drive), self._velocity(drive)
             if drive.command is not None:
                 drive.target = _stopped(drive, obstacle)
-            self._still[name] = self._still.get(name, 0.0) + dt if abs(velocity) < _STILL else 0.0
-            if self._still[name] == 0.0 or self._steps % _EVERY == 0:
+            self._still[name] = self._still.get(name, 0.0) + dt if abs(velocity) < _REST_VELOCITY else 0.0
+            if self._still[name] == 0.0 or self._steps % _STEPS_PER_REPORT == 0:
                 report(self._state(name, drive, position))
 
     def _position(self, drive: GripperDrive) -> float:
@@ -59,7 +59,7 @@ class PhysicalHands:
         command = drive.command
         if command is None:
             return DriverGripperState(gripper=name, position=position)
-        there = abs(position - command.position) < _THERE
+        there = abs(position - command.position) < _POSITION_TOLERANCE
         stalled = not there and self._still[name] >= _STALLED
         return DriverGripperState(
             gripper=name, position=position, sequence=command.sequence, reached=there, stalled=stalled

@@ -24,11 +24,11 @@ from zarm_planner.verification.margins import too_near
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.trajectory import SHORTEST, TimedTrajectory
+from zarm_trajectory.trajectory import MIN_INTERVAL, TimedTrajectory
 
 _STARTS = 24
 """How many beginnings are tried before the others rest."""
-_STANDING = 1e-6
+_UNMOVED_TOLERANCE = 1e-6
 """A joint that moves less than this (rad) stands."""
 _TORQUE_STEP = 0.003
 """Largest time (s) between two looks at the torques."""
@@ -53,7 +53,7 @@ class ConcurrentMotion:
             if name not in names:
                 raise InvalidRequest(f"{name} is none of the joints {', '.join(names)}", field="concurrent.joint_names")
         given = TimedTrajectory.of(message, message.joint_names)
-        moving = np.flatnonzero(np.ptp(given.position, axis=0) > _STANDING)
+        moving = np.flatnonzero(np.ptp(given.position, axis=0) > _UNMOVED_TOLERANCE)
         indices = np.array([names.index(message.joint_names[k]) for k in moving], np.intp)
         for index in indices.tolist():
             if index in group.joints:
@@ -148,7 +148,7 @@ class ConcurrentMotion:
     def _with(self, begin: Array, group: Group, motion: TimedTrajectory, delay: float) -> TimedTrajectory:
         """Both motions as one, from `begin` (dof,); a piece of a quintic is a quintic, so neither changes."""
         times = np.unique(np.concatenate([[0.0], self.motion.time, [delay], delay + motion.time]))
-        times = times[np.append(True, np.diff(times) > 2.0 * SHORTEST)]
+        times = times[np.append(True, np.diff(times) > 2.0 * MIN_INTERVAL)]
         states = np.zeros((3, len(times), len(begin)))
         states[0] = begin
         for joints, part, late in ((self.joints, self.motion, 0.0), (group.joints, motion, delay)):

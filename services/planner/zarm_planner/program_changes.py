@@ -13,7 +13,7 @@ from zarm_planner.programs import ChangeAt
 
 log = logging.getLogger(__name__)
 
-_REMEMBERED = 32
+_PROGRAMS_KEPT = 32
 """Programs whose changes are known; the executor remembers as many plans."""
 
 
@@ -33,7 +33,7 @@ class ProgramChanges:
             return
         with self._lock:
             self._programs[plan_id] = duration, tuple(changes)
-            if len(self._programs) > _REMEMBERED:
+            if len(self._programs) > _PROGRAMS_KEPT:
                 self._programs.popitem(last=False)
 
     def receive(self, _key: str, goal: GoalState) -> None:
@@ -45,7 +45,7 @@ class ProgramChanges:
             made = self._made.get(goal.goal_id, 0)
             due = [change for at, change in changes if at <= goal.progress * duration + 1e-6][made:]
             self._made[goal.goal_id] = made + len(due)
-            if len(self._made) > _REMEMBERED:
+            if len(self._made) > _PROGRAMS_KEPT:
                 self._made.popitem(last=False)
             for change in due:
                 try:

@@ -65,7 +65,7 @@ CHANGE_S = 0.2
 """s for which the robot rests while something is attached or detached: the planner edits the scene meanwhile."""
 STOP_S = 0.5
 """s for which the robot rests where a gripper moves or an output is switched, besides the time that this takes: it is held within them."""
-_NEAR = 0.0005, 0.1
+_PASSING_DISTANCES = 0.0005, 0.1
 """m by which free motions that blend pass the pose between them, at least and at most: what waypoints allow."""
 _TURNED = 0.5
 """rad by which the tip may be turned there."""
@@ -259,7 +259,10 @@ def blended(segments: Sequence[Segment]) -> tuple[Sequence[Segment], Goal]:
         return together, PathGoal(kind="path", points=points, **fields)
     goals = tuple(move.goal for move in together if isinstance(move.goal, PoseGoal | JointGoal))
     near = min(move.blend for move in together[:-1])
-    tolerances = {"position_tolerance": min(max(near, _NEAR[0]), _NEAR[1]), "angle_tolerance": _TURNED}
+    tolerances = {
+        "position_tolerance": min(max(near, _PASSING_DISTANCES[0]), _PASSING_DISTANCES[1]),
+        "angle_tolerance": _TURNED,
+    }
     return together, WaypointsGoal(kind="waypoints", through=goals, **tolerances)
 
 

@@ -24,8 +24,8 @@ ASK_SECONDS = 1.0
 """Longest wait for the answer to a cancel."""
 GOAL = re.compile("(?P<action>[a-z_]+)-(?P<id>[0-9a-f]{32})")
 """The name of the executor goal for a goal of this action, with its id on ROS."""
-_AGAIN = 1.0  # seconds after which a cancel without effect is sent again
-_NOTED = 5.0  # most seconds from a cancel request until rclpy records it: it answers two requests in between
+_CANCEL_RETRY_PERIOD = 1.0  # seconds after which a cancel without effect is sent again
+_CANCEL_TIMEOUT = 5.0  # most seconds from a cancel request until rclpy records it: it answers two requests in between
 
 
 def states_of(engine: Engine, goal_id: str) -> Iterator[GoalState]:
@@ -94,7 +94,7 @@ class Run:
 
     def cancelled(self) -> bool:
         """Whether its client cancelled it; if so, rclpy has recorded that when this returns."""
-        deadline = time.monotonic() + _NOTED
+        deadline = time.monotonic() + _CANCEL_TIMEOUT
         while self._cancelled and not self.handle.is_cancel_requested and time.monotonic() < deadline:
             time.sleep(0.005)
         return bool(self.handle.is_cancel_requested)
@@ -126,7 +126,7 @@ class Run:
         """The states of its executor goal. Raises Unavailable as `states_of` does."""
         self.becomes(goal_id)
         for state in states_of(self._engine, goal_id):
-            if self._stopped is not None and not state.done and time.monotonic() - self._stopped > _AGAIN:
+            if self._stopped is not None and not state.done and time.monotonic() - self._stopped > _CANCEL_RETRY_PERIOD:
                 self.stop()
             yield state
 

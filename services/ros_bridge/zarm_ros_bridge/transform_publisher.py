@@ -24,13 +24,13 @@ from zarm_runtime.worker import Worker
 
 PERIOD, AT_REST = 0.02, 0.1
 """How often (s) the moving frames are published while somebody listens, of a robot that moves and of one at rest."""
-_MOVED = 1e-5
-QUIET = 2.0
+_JOINT_THRESHOLD = 1e-5
+OTHERS_TIMEOUT = 2.0
 """How long (s) nobody else must have published the robot's frames."""
-_LOOK = 0.5
+_LOOK_PERIOD = 0.5
 MOST_OBJECTS = 200
 """Most objects of the scene that have a frame."""
-_SENT = 500
+_STAMPS_KEPT = 500
 
 
 class TransformPublisher:
@@ -46,7 +46,7 @@ class TransformPublisher:
         self._moving = ros.node.create_publisher(TFMessage, "/tf", TF)
         self._fixed = ros.node.create_publisher(TFMessage, "/tf_static", TF_STATIC)
         self._links = {joint.child for joint in engine.robot.urdf.joint_of_child.values() if joint.type != "fixed"}
-        self._sent: deque[tuple[int, int]] = deque(maxlen=_SENT)  # stamps of what was published here
+        self._sent: deque[tuple[int, int]] = deque(maxlen=_STAMPS_KEPT)  # stamps of what was published here
         self._others_at = time.monotonic()
         self._scene: Scene | None = None
         self._wanted = self._listened = False
@@ -54,7 +54,7 @@ class TransformPublisher:
         self._introduced = False
         self._before: Sequence[float] = engine.robot.descriptor.home
         self._published_at = 0.0
-        self._worker = Worker("tf", self._run, _LOOK)
+        self._worker = Worker("tf", self._run, _LOOK_PERIOD)
         frames.watch(self._on_tf)
 
     def __enter__(self) -> Self:
@@ -83,7 +83,7 @@ class TransformPublisher:
         """Publish if somebody listens and something has moved; the time (s) until it is looked again."""
         self._look()
         if not self._wanted:
-            return _LOOK
+            return _LOOK_PERIOD
         try:
             joints = self._frames.joints()
         except ZarmError:  # nothing is measured
@@ -108,11 +108,11 @@ class TransformPublisher:
     def _look(self) -> None:
         """See, now and then, whether somebody beside this bridge listens, and nobody else publishes the robot."""
         now = time.monotonic()
-        if now - self._looked_at > _LOOK:
+        if now - self._looked_at > _LOOK_PERIOD:
             self._looked_at = now
             listeners = max(self._node.count_subscribers("/tf"), self._node.count_subscribers("/tf_static"))
             self._listened = listeners > 1
-        self._wanted = self._listened and now - self._others_at > QUIET
+        self._wanted = self._listened and now - self._others_at > OTHERS_TIMEOUT
 
     def _objects(self, stamp: Any) -> list[Any]:
         scene, robot = self._scene, self._engine.robot.descriptor
@@ -126,7 +126,7 @@ class TransformPublisher:
 
 
 def _moved(before: Sequence[float], now: Sequence[float]) -> bool:
-    return max(abs(a - b) for a, b in zip(now, before, strict=True)) > _MOVED
+    return max(abs(a - b) for a, b in zip(now, before, strict=True)) > _JOINT_THRESHOLD
 
 
 def _transforms(edges: Iterable[tuple[Any, NDArray[Any]]], stamp: Any) -> list[Any]:

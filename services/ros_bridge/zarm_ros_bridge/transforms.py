@@ -15,7 +15,7 @@ from zarm_trajectory.arrays import Array
 
 HISTORY = 10.0
 """How long (s) transforms are kept, as in tf2."""
-AHEAD = 0.2
+MAX_EXTRAPOLATION = 0.2
 """How far (s) a time may be after the last transform of a frame, which then counts: publishers are late."""
 
 
@@ -82,7 +82,7 @@ class _Frame:
         if self.fixed is not None:
             return self.fixed
         first, last = self._stamps[0], self._stamps[-1]
-        if not first - 1e-9 <= (stamp or last) <= last + AHEAD:
+        if not first - 1e-9 <= (stamp or last) <= last + MAX_EXTRAPOLATION:
             raise UnknownFrame(
                 f"the frame {name} is known from {first:.3f} to {last:.3f}, and not at {stamp:.3f}; give a stamp of that "
                 "time, or 0 for the last pose",

@@ -18,7 +18,7 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.kernels.nearest import nearest_time
 from zarm_servo.tracking.controller import Controller
-from zarm_servo.tracking.receding_horizon import LONGEST, nearest_motion
+from zarm_servo.tracking.receding_horizon import MAX_INTERVALS, nearest_motion
 from zarm_servo.tracking.targets import TwistTarget
 from zarm_servo.world.check import Checker, SceneCheck
 from zarm_servo.world.moving_objects import Mover
@@ -50,7 +50,7 @@ def warm_up(checker: Checker, check: SceneCheck, report: Callable[[str], None]) 
         controller.step(TwistTarget(np.zeros(6)), 0.0).braking.at(0.0)
         controller.follow(controller.state)
     check.load({})
-    nearest_motion(controller.state, np.tile(home, (LONGEST, 1)), Limits.of(model.robot))
+    nearest_motion(controller.state, np.tile(home, (MAX_INTERVALS, 1)), Limits.of(model.robot))
 
 
 def main() -> int:

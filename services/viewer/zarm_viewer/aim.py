@@ -16,7 +16,7 @@ from viser.transforms import SE3
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import IkRequest
 from zarm_trajectory.arrays import Array
-from zarm_viewer.arm import STILL, Arm, Ghost
+from zarm_viewer.arm import REDRAW_THRESHOLD, Arm, Ghost
 from zarm_viewer.kinematics import message_of, pose_at
 from zarm_viewer.panel_context import PanelContext
 
@@ -136,7 +136,7 @@ class Goal:
         if self.aimed:
             return
         joints = self._panels.joints
-        if self._followed is None or np.abs(joints - self._followed).max() > STILL:
+        if self._followed is None or np.abs(joints - self._followed).max() > REDRAW_THRESHOLD:
             pose = self._panels.chain.tip(joints)
             self._place_gizmo(pose)
             self._aim = Aim(pose, ())

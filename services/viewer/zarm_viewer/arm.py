@@ -18,7 +18,7 @@ from zarm_viewer.drawing import Brush, Colour, link_mesh
 from zarm_viewer.kinematics import motion, origin
 
 SPHERES = (250, 176, 5)
-STILL = 1e-4
+REDRAW_THRESHOLD = 1e-4
 """A joint that has moved less than this (rad or m) is not redrawn."""
 
 
@@ -65,10 +65,10 @@ class Arm:
 
     def move(self, joints: Array) -> bool:
         """Draw the robot at joint positions (J,) in rad; returns whether that changes anything."""
-        if self._at is not None and np.abs(joints - self._at).max() < STILL:
+        if self._at is not None and np.abs(joints - self._at).max() < REDRAW_THRESHOLD:
             return False
         for frame, index, joint, at in self._moving:
-            if self._at is None or abs(joints[index] - self._at[index]) >= STILL:
+            if self._at is None or abs(joints[index] - self._at[index]) >= REDRAW_THRESHOLD:
                 _place(frame, joint, at @ motion(joint, float(joints[index])))
         self._at = joints.copy()
         return True

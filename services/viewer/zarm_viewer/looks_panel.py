@@ -14,7 +14,7 @@ from zarm_viewer.picture import Picture
 
 PERIOD = 0.2
 """Interval (s) of the requests for the clearance."""
-NEAR = np.radians(10.0)
+LIMIT_DISTANCE = np.radians(10.0)
 """A joint this close to a limit (rad) is shown in bold."""
 
 
@@ -55,7 +55,9 @@ class LooksPanel:
                 if np.isinf(low):
                     continue
                 distances = f"{np.degrees(at - low):.0f}° down, {np.degrees(high - at):.0f}° up"
-                lines.append(f"{joint}: " + (f"**{distances}**" if min(at - low, high - at) < NEAR else distances))
+                lines.append(
+                    f"{joint}: " + (f"**{distances}**" if min(at - low, high - at) < LIMIT_DISTANCE else distances)
+                )
         put(self._text, "  \n".join(lines), "content")
         put(self._text, bool(lines), "visible")
 

@@ -17,7 +17,7 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Plan
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.aim import Goal
-from zarm_viewer.arm import STILL
+from zarm_viewer.arm import REDRAW_THRESHOLD
 from zarm_viewer.controls import button, changed, put
 from zarm_viewer.kinematics import message_of
 from zarm_viewer.named_poses import NamedPoses
@@ -195,7 +195,7 @@ class MotionPanel:
         """Whether only the joints of the group are to move."""
         branch, others = self._goal.now.branch, np.ones(len(self._panels.joints), np.bool_)
         others[self._panels.moving] = False
-        return branch is None or bool(np.all(np.abs(branch.joints - self._panels.joints)[others] < STILL))
+        return branch is None or bool(np.all(np.abs(branch.joints - self._panels.joints)[others] < REDRAW_THRESHOLD))
 
     def _plan_it(self) -> Plan:
         self._plan = None  # if planning fails, the previous plan must neither be executed nor be shown

@@ -40,7 +40,7 @@ log = logging.getLogger(__name__)
 
 PERIOD = 1 / 30
 """Interval (s) between two drawings while anything changes."""
-LEAST = PERIOD / 4
+MIN_PAUSE = PERIOD / 4
 """The least pause (s) between two drawings, in which other threads get the interpreter."""
 UNSEEN = 0.5
 """The same (s) while no page is open."""
@@ -141,7 +141,7 @@ class Page:
             self.server.flush()
         except Exception:
             log.exception("drawing failed")
-        self._due = max(self._due + (PERIOD if self.server.get_clients() else UNSEEN), time.monotonic() + LEAST)
+        self._due = max(self._due + (PERIOD if self.server.get_clients() else UNSEEN), time.monotonic() + MIN_PAUSE)
         return self._due - time.monotonic()
 
 

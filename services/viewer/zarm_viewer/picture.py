@@ -26,7 +26,7 @@ SLOW, FAST = (116, 143, 252), (64, 192, 87)
 TRAIL_POINTS, PATH_POINTS = 150, 120
 TRAIL_STEP = 0.005
 """Distance (m) between points of the trail."""
-_APART = 0.005  # rad between ghost and robot above which the ghost is shown
+_GHOST_THRESHOLD = 0.005  # rad between ghost and robot above which the ghost is shown
 
 
 def speed_colours(points: Array) -> NDArray[np.uint8]:
@@ -71,7 +71,7 @@ class Picture:
         if news.preview is not None:
             self._preview = news.preview
         if self._preview is not None:
-            if float(np.abs(self._preview - self._panels.joints).max()) > _APART:
+            if float(np.abs(self._preview - self._panels.joints).max()) > _GHOST_THRESHOLD:
                 self._ghost.show(self._preview)
             else:
                 self._ghost.hide()

@@ -16,7 +16,7 @@ from zarm_viewer.panel_context import PanelContext
 BODY, PRESSING = (166, 124, 82), (224, 49, 49)
 FORCE_LENGTH, LONGEST = 0.01, 0.3
 """Length (m) of the line of a force per N, and the most."""
-_LEAST = 0.05
+_MIN_FORCE = 0.05
 """Least force (N) that is shown."""
 
 
@@ -78,7 +78,7 @@ class SimulationView:
 
 def forces(contacts: Sequence[Contact]) -> Array:
     """Lines (n, 2, 3) in m from where two press on each other, as long as the force, to both sides."""
-    shown = [contact for contact in contacts if contact.force >= _LEAST]
+    shown = [contact for contact in contacts if contact.force >= _MIN_FORCE]
     at = np.array([contact.position for contact in shown]).reshape(-1, 3)
     normal = np.array([contact.normal for contact in shown]).reshape(-1, 3)
     length = np.clip([FORCE_LENGTH * contact.force for contact in shown], 0.0, LONGEST).reshape(-1, 1)

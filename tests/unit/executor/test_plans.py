@@ -10,7 +10,7 @@ from support.harness import PATIENCE
 from support.trajectories import ROBOT, SCENE, moved, plan, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.messages import ExecuteRequest, Plan
-from zarm_executor.plans import REMEMBERED, Chosen, Plans
+from zarm_executor.plans import PLANS_KEPT, Chosen, Plans
 
 TRAJECTORY = rest_to_rest(moved(0.1))
 
@@ -37,7 +37,7 @@ def test_before_the_first_plan_an_empty_request_is_refused(plans: Plans) -> None
 
 @pytest.mark.lengthy
 def test_the_last_plans_are_known_by_id_and_older_ones_dropped(plans: Plans) -> None:
-    for number in range(REMEMBERED + 1):
+    for number in range(PLANS_KEPT + 1):
         plans.add("", plan(f"plan-{number}", TRAJECTORY))
     assert plans.chosen(ExecuteRequest(plan_id="plan-1")).plan_id == "plan-1"
     with pytest.raises(InvalidRequest, match="plan-0") as refusal:

@@ -17,7 +17,7 @@ from support.planner.small_arm import small_arm
 from zarm_contract.collision import CollisionCuboid, CollisionPrimitive, CollisionSphere
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, SceneObject, Sphere
 from zarm_contract.robot import load_robot
-from zarm_geometry.exact import FARTHEST, ExactScene, robot_parts, subjects
+from zarm_geometry.exact import MAX_CLEARANCE, ExactScene, robot_parts, subjects
 from zarm_geometry.frames import matrix, rotation_to
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.shapes import Shape, distance, obstacle_shape
@@ -122,7 +122,7 @@ def truth(model: RobotModel, q: Array, objects: Sequence[SceneObject]) -> float:
     for i, joint in enumerate(model.link_joint):
         if joint >= 0:
             pairs += itertools.product(solids[i], map(solid_of_object, objects))
-    return min([FARTHEST, *(apart(a, b) for a, b in pairs)])
+    return min([MAX_CLEARANCE, *(apart(a, b) for a, b in pairs)])
 
 
 @examples(0.25)
@@ -190,7 +190,7 @@ def test_nothing_near_is_the_farthest_clearance_without_a_pair(model: RobotModel
     scene = scene_of(model, [ball])
     nearest = scene.nearest(FREE)
     assert nearest.pair is None or "ball" not in nearest.pair
-    assert nearest.distance <= FARTHEST
+    assert nearest.distance <= MAX_CLEARANCE
 
 
 def dense(a: Array, b: Array, scene: ExactScene) -> Array:
@@ -270,7 +270,7 @@ def measured(model: RobotModel, motion: Array, objects: Sequence[SceneObject]) -
     rows = World(objects, MARGIN).rows
     obstacles = [obstacle_shape("thing", row) for row in rows]
     can_meet = {tuple(pair) for pair in model.pairs.tolist()}
-    smallest = np.full(len(motion), FARTHEST)
+    smallest = np.full(len(motion), MAX_CLEARANCE)
     for n, q in enumerate(motion):
         frames = model.link_transforms(q)
         parts = [(link, shape, frames[link] @ shape.pose) for link, shape in model.parts]
@@ -406,4 +406,4 @@ def test_nothing_is_near_where_no_configuration_is_given(model: RobotModel) -> N
         np.empty((0, model.dof)),
     )
     assert scene.is_free(none)
-    assert scene.nearest(none).distance == FARTHEST
+    assert scene.nearest(none).distance == MAX_CLEARANCE

@@ -21,7 +21,7 @@ from zarm_contract.robot import load_robot
 from zarm_geometry import meshes as limits
 from zarm_geometry import packed_shapes, solid
 from zarm_geometry.collision import is_free
-from zarm_geometry.exact import FARTHEST, ExactScene
+from zarm_geometry.exact import MAX_CLEARANCE, ExactScene
 from zarm_geometry.frames import matrix
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
@@ -85,7 +85,7 @@ def test_distances_to_a_mesh_are_those_of_fcl(tmp_path: Path, robot: str) -> Non
         nearest = exact.nearest(q, itself=False)
         found.append(nearest.distance > 0.0)
         if apart > 1e-6 or nearest.distance > 0.0:
-            assert nearest.distance == pytest.approx(min(apart, FARTHEST), abs=2e-4)
+            assert nearest.distance == pytest.approx(min(apart, MAX_CLEARANCE), abs=2e-4)
     assert len(set(found)) == 2
 
 

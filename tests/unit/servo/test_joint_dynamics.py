@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from zarm_contract.errors import Unavailable
-from zarm_servo.guarding.joint_dynamics import KEPT, LEAST, Identification, JointDynamics, Moving
+from zarm_servo.guarding.joint_dynamics import MIN_STATES, STATES_KEPT, Identification, JointDynamics, Moving
 from zarm_trajectory.arrays import Array
 
 JOINTS = ("shoulder", "elbow", "wrist")
@@ -38,16 +38,16 @@ def identified(states: int, joints: JointDynamics = TRUE, *, noise: float = 0.05
 
 
 def test_it_finds_friction_damping_and_armature() -> None:
-    found = identified(LEAST).found()
+    found = identified(MIN_STATES).found()
     assert found.joint_names == JOINTS
     np.testing.assert_allclose(found.friction, TRUE.friction, atol=0.02)
     np.testing.assert_allclose(found.damping, TRUE.damping, atol=0.02)
     np.testing.assert_allclose(found.armature, TRUE.armature, atol=0.01)
-    assert found.states == LEAST
+    assert found.states == MIN_STATES
 
 
 def test_largest_is_what_they_do_not_explain() -> None:
-    seen = identified(LEAST)
+    seen = identified(MIN_STATES)
     np.testing.assert_allclose(seen.found().largest, 0.05, atol=0.02)
     seen.add(REST, np.array([5.0, 4.0, 4.5]))
     np.testing.assert_allclose(seen.found().largest, [2.0, 4.0, 4.0], atol=0.1, err_msg="friction may hold the rest")
@@ -55,14 +55,14 @@ def test_largest_is_what_they_do_not_explain() -> None:
 
 def test_nothing_found_is_negative() -> None:
     helped = JointDynamics(np.full(3, 0.5), np.full(3, -0.1), np.full(3, -0.2))
-    found = identified(LEAST, helped).found()
+    found = identified(MIN_STATES, helped).found()
     assert min(*found.friction, *found.damping, *found.armature) >= 0.0
     assert min(found.friction) > 0.3, "the best without the others"
 
 
 def test_a_joint_that_stands_still_needs_nothing() -> None:
     seen = Identification(JOINTS)
-    for _ in range(LEAST):
+    for _ in range(MIN_STATES):
         seen.add(REST, np.full(3, 0.7))
     found = seen.found()
     assert found.friction == found.damping == found.armature == (0.0, 0.0, 0.0)
@@ -70,7 +70,7 @@ def test_a_joint_that_stands_still_needs_nothing() -> None:
 
 
 def test_too_few_states_are_refused_with_the_remedy() -> None:
-    with pytest.raises(Unavailable, match=f"it takes {LEAST}; let the robot make the motions of its work"):
+    with pytest.raises(Unavailable, match=f"it takes {MIN_STATES}; let the robot make the motions of its work"):
         identified(10).found()
 
 
@@ -78,12 +78,12 @@ def test_the_last_states_count() -> None:
     seen, rng = Identification(JOINTS), np.random.default_rng(0)
     for friction in (9.0, 1.0):
         joints = JointDynamics(np.full(3, friction), np.zeros(3), np.zeros(3))
-        for _ in range(KEPT):
+        for _ in range(STATES_KEPT):
             state = moving(rng)
             seen.add(state, needed(joints, state))
     found = seen.found()
     np.testing.assert_allclose(found.friction, 1.0, atol=0.01)
-    assert found.states == KEPT
+    assert found.states == STATES_KEPT
 
 
 @pytest.mark.parametrize("velocity", [1.0, -1.0])

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from zarm_contract.messages import Scene, Sphere
-from zarm_servo.world.scene_monitor import EARLY, REMEMBERED, SceneMonitor
+from zarm_servo.world.scene_monitor import EARLY, SCENES_KEPT, SceneMonitor
 
 
 def ball(name: str, x: float = 1.0) -> Sphere:
@@ -38,13 +38,13 @@ def test_an_object_counts_for_a_while_before_its_scene(monitor: SceneMonitor) ->
 
 
 def test_a_scene_is_complete_and_the_last_ones_are_kept(monitor: SceneMonitor) -> None:
-    for edits in range(REMEMBERED + 2):
+    for edits in range(SCENES_KEPT + 2):
         monitor.on_scene("", scene(edits, ball(f"ball{edits}")))
-    assert set(monitor.snapshot(0.0).objects) == {f"ball{REMEMBERED + 1}"}
+    assert set(monitor.snapshot(0.0).objects) == {f"ball{SCENES_KEPT + 1}"}
     assert monitor.at(scene(0).revision, ()) is None
-    remembered = monitor.at(scene(REMEMBERED).revision, ())
+    remembered = monitor.at(scene(SCENES_KEPT).revision, ())
     assert remembered is not None
-    assert set(remembered.objects) == {f"ball{REMEMBERED}"}
+    assert set(remembered.objects) == {f"ball{SCENES_KEPT}"}
 
 
 def test_a_new_scene_keeps_what_was_known_until_edited(

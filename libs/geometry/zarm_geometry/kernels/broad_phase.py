@@ -32,7 +32,7 @@ from zarm_geometry.kernels.simd import (
 )
 from zarm_trajectory.arrays import Index, Single
 
-FEW = 32
+MIN_SAMPLES = 32
 """Motions of fewer samples are not worth a broad phase."""
 BLOCKS = 256
 """Intervals that a longer motion is divided into, a multiple of 16; fewer if it has fewer samples."""

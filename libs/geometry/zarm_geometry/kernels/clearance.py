@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.broad_phase import FEW, Cover, make_batch, push_near
+from zarm_geometry.kernels.broad_phase import MIN_SAMPLES, Cover, make_batch, push_near
 from zarm_geometry.kernels.clearance_search import (
     COUNT,
     FIRST,
@@ -38,7 +38,7 @@ Kept = tuple[float, float]
 
 ROUGH = 0.2
 """Lower bounds that only decide which boxes to enter, and never the result, may be too small by this fraction."""
-_PARTS = 64
+_PARTS_PER_DESCENT = 64
 """Parts of a link that descend the tree together."""
 
 
@@ -287,9 +287,9 @@ def _to_world(
             found, best = _note(found, lower, upper, i, closest, k, best)
     lowest = nearest
     nodes = world.boxes.shape[0]
-    for first in range(body.first[link], body.first[link + 1], _PARTS):
-        count = min(body.first[link + 1] - first, _PARTS)
-        search.active[0] = ~np.uint64(0) >> np.uint64(_PARTS - count)
+    for first in range(body.first[link], body.first[link + 1], _PARTS_PER_DESCENT):
+        count = min(body.first[link + 1] - first, _PARTS_PER_DESCENT)
+        search.active[0] = ~np.uint64(0) >> np.uint64(_PARTS_PER_DESCENT - count)
         search.until[0] = nodes
         level, node = 0, 0
         while node < nodes:
@@ -454,7 +454,7 @@ def begin(
     samples = search.q.shape[0]
     found = np.empty((64, 5))
     found[0, 0] = 0.0
-    if samples < FEW:
+    if samples < MIN_SAMPLES:
         for subject in range(asked.shape[0]):
             if asked[subject]:
                 push(search, -np.inf, subject, 0, samples)

@@ -15,7 +15,7 @@ THINNEST = 5e-4
 SLACK = 5e-6
 """... which then grows by this (m) on all sides, to allow for rounding."""
 _ANGLES = 12
-_SHORTEST = 1e-4
+_MIN_HALF_LENGTH = 1e-4
 """Minimum half distance (m) between the ends of a capsule."""
 
 
@@ -88,7 +88,7 @@ def around(points: Array, turns: Array, boxes: Array, axis: Array, middle: Array
             at[:] = axis[k] + t[:, 2] * ((below + above) / 2)
             _framed(row, t, at)
             # If the domes of both ends overlap, the points fit into less than the shortest capsule.
-            row[14] = max((above - below) / 2, THINNEST if kind == 1 else _SHORTEST) + SLACK
+            row[14] = max((above - below) / 2, THINNEST if kind == 1 else _MIN_HALF_LENGTH) + SLACK
             row[14 + kind] = radius + SLACK
     far = 0.0
     for i in range(len(points)):

@@ -12,8 +12,8 @@ from zarm_executor.strategies.base import Measured
 from zarm_trajectory.arrays import Array
 from zarm_trajectory.rate_bounds import RateLimits
 
-_STILL = 5e-4
-_STANDING = 0.1
+_REST_MOTION = 5e-4
+_REST_TIME = 0.1
 """A robot stands if it has not moved by more than the first (rad) for the second (s): 0.005 rad/s."""
 
 
@@ -70,11 +70,11 @@ class RobotLink(ABC):
     def standing(self) -> bool:
         """Whether the robot stands, judged by its velocities and, because some drivers report none, by its positions."""
         measured = self.measured()
-        if measured is None or self._stood is None or measured.time - self._stood.time < _STANDING:
+        if measured is None or self._stood is None or measured.time - self._stood.time < _REST_TIME:
             return False
         return bool(np.all(np.abs(measured.velocity) <= self.execution.stopped_velocity))
 
     def _note(self, measured: Measured) -> None:
         """New joints, from which it is seen whether the robot stands."""
-        if self._stood is None or np.any(np.abs(measured.position - self._stood.position) > _STILL):
+        if self._stood is None or np.any(np.abs(measured.position - self._stood.position) > _REST_MOTION):
             self._stood = measured

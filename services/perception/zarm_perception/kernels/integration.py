@@ -61,7 +61,7 @@ class Grid(NamedTuple):
 
 _STEP = 0.03
 """The largest step between neighbouring pixels of one surface, as a share of its depth."""
-_FINE = 8
+_MIN_SQUARES_PER_VOXEL = 8
 """At least so many squares of the least depths lie along a voxel in the image: what is beside it counts less."""
 _COVERED = 8.0
 """On how many pixels a voxel must appear for two of them to be asked for."""
@@ -376,7 +376,7 @@ def clear(grid: Grid, least: Depth, view: View, number: int, unseen: bool) -> in
                 if left < 0 or top < 0 or right >= width or bottom >= height:
                     continue
                 level = 0
-                while level < levels - 1 and (_FINE << level) <= min(right - left, bottom - top):
+                while level < levels - 1 and (_MIN_SQUARES_PER_VOXEL << level) <= min(right - left, bottom - top):
                     level += 1
                 deeper = True
                 for row in range(top >> level, (bottom >> level) + 1):

@@ -17,7 +17,7 @@ from zarm_contract.messages import ArcGoal, CartesianGoal, LineGoal, PathGoal, P
 from zarm_geometry.frames import rotated_by, rotation
 from zarm_trajectory.arrays import Array, Indices
 
-_SAME = 1e-6
+_POINT_TOLERANCE = 1e-6
 """m and rad: points that are nearer to each other than this are one."""
 _BLEND = 0.01, 0.4
 """m, and share of the shorter line: where a corner is left unless the goal says otherwise."""
@@ -25,7 +25,7 @@ _BACK = -0.9995
 """Cosine of a turn that doubles back: less than 2 deg from half a turn."""
 _SPACING = 0.01, math.radians(2.0)
 """m and rad between two stations."""
-_FEWEST = 12
+_MIN_INTERVALS = 12
 """Least intervals between stations on a line or an arc."""
 _CORNER = 8
 """Most intervals between stations in a corner; a slight one has fewer."""
@@ -120,7 +120,7 @@ def _turn(begin: Array, end: Array) -> Array:
 
 
 def _stations(extent: float, length: float, angle: float) -> Array:
-    count = max(_FEWEST, math.ceil(length / _SPACING[0]), math.ceil(angle / _SPACING[1]))
+    count = max(_MIN_INTERVALS, math.ceil(length / _SPACING[0]), math.ceil(angle / _SPACING[1]))
     return np.linspace(0.0, extent, count + 1)
 
 
@@ -162,7 +162,7 @@ def _arc(goal: ArcGoal, a: Array, begin: Array, speeds: _Speeds, field: str) -> 
 
 def _around(goal: ArcGoal | PathPoint, a: Array, b: Array, field: str) -> tuple[Array, Array, float]:
     """The centre (3,), the unit normal (3,) and the angle (rad) of an arc from `a` to `b` (3,)."""
-    if float(np.linalg.norm(b - a)) < _SAME:
+    if float(np.linalg.norm(b - a)) < _POINT_TOLERANCE:
         return _full_circle(goal, a, field)
     if (goal.via is None) == (goal.center is None):
         raise InvalidRequest(
@@ -174,7 +174,7 @@ def _around(goal: ArcGoal | PathPoint, a: Array, b: Array, field: str) -> tuple[
         normal = np.cross(p, q)
         square = float(normal @ normal)
         widest = max(float(p @ p), float(q @ q))
-        if square < (1e-4 * widest) ** 2 or widest < _SAME**2:
+        if square < (1e-4 * widest) ** 2 or widest < _POINT_TOLERANCE**2:
             raise InvalidRequest(
                 "the start, via and position lie on a line, and no arc leads through them; move via aside, or ask for a line",
                 field=f"{field}.via",
@@ -219,7 +219,7 @@ def _full_circle(goal: ArcGoal | PathPoint, a: Array, field: str) -> tuple[Array
 def _same_radius(p: Array, q: Array, other: str, field: str) -> None:
     """Raises InvalidRequest unless `p` and `q` (3,), from the centre to the start and to the `other` point, are as long."""
     radii = float(np.linalg.norm(p)), float(np.linalg.norm(q))
-    if abs(radii[0] - radii[1]) > 1e-4 or min(radii) < _SAME:
+    if abs(radii[0] - radii[1]) > 1e-4 or min(radii) < _POINT_TOLERANCE:
         raise InvalidRequest(
             f"the center is {1e3 * radii[0]:.2f} mm from the start and {1e3 * radii[1]:.2f} mm from {other}; it is as far from "
             "both on an arc",
@@ -244,8 +244,10 @@ def _path(goal: PathGoal, a: Array, begin: Array, speeds: _Speeds, field: str) -
                 "a spline has no arcs; leave via and center out, or choose the shape polyline",
                 field=f"{field}.points.{number}",
             )
-        near = not curved and float(np.linalg.norm(there - points[-1])) < _SAME  # a circle ends where it starts
-        near = near and float(np.linalg.norm(_turn(oriented[-1], turned))) < _SAME
+        near = (
+            not curved and float(np.linalg.norm(there - points[-1])) < _POINT_TOLERANCE
+        )  # a circle ends where it starts
+        near = near and float(np.linalg.norm(_turn(oriented[-1], turned))) < _POINT_TOLERANCE
         if near and number == 0:  # a path that names its start
             continue
         if near:
@@ -415,7 +417,7 @@ def _polyline(goal: PathGoal, corners: _Corners, ways: _Ways, oriented: Rotation
             counts.append(max(_corner_intervals(legs, spin[i - 1 : i + 1] * half[i]), math.ceil(curved / _SPACING[1])))
         straight = max((inner[1] - inner[0]) / steps[i], 0.0)
         if straight > 1e-9:
-            few = _FEWEST if len(steps) == 1 else 1 if straight * length < _CORNER_ERROR[2] else 2
+            few = _MIN_INTERVALS if len(steps) == 1 else 1 if straight * length < _CORNER_ERROR[2] else 2
             edges.append(inner[1])
             counts.append(
                 max(few, math.ceil(straight * length / _SPACING[0]), math.ceil(straight * angle / _SPACING[1]))
@@ -444,7 +446,7 @@ def _along_ways(corners: _Corners, ways: _Ways, begin: Rotation) -> tuple[Rotati
     Raises InvalidRequest if the tip would have to turn on the spot.
     """
     lengths = ways.lengths
-    if len(lengths) > 1 and (0.0 in corners.blends[1:-1] or lengths.min() < _SAME):
+    if len(lengths) > 1 and (0.0 in corners.blends[1:-1] or lengths.min() < _POINT_TOLERANCE):
         raise InvalidRequest(
             "with the tangent the tip would turn on the spot at a corner; allow a blend", field=f"{corners.field}.blend"
         )
@@ -472,7 +474,7 @@ def _rounding(corners: _Corners, ways: _Ways, steps: Array) -> Array:
     leaving, arriving = ways.rate(0.0), ways.rate(1.0)
     for i in range(1, len(points) - 1):
         before, after, blend = lengths[i - 1], lengths[i], corners.blends[i]
-        if min(before, after) < _SAME:  # the tip turns on the spot
+        if min(before, after) < _POINT_TOLERANCE:  # the tip turns on the spot
             half[i] = 0.0 if blend == 0.0 else _BLEND[1] * min(steps[i - 1], steps[i])
             continue
         distance = min(_BLEND[0], _BLEND[1] * min(before, after)) if blend is None else blend
@@ -507,7 +509,7 @@ def _values(speeds: _Speeds) -> tuple[float, float, float]:
 
 
 def _has_extent(length: float, angle: float, field: str) -> None:
-    if length < _SAME and angle < _SAME:
+    if length < _POINT_TOLERANCE and angle < _POINT_TOLERANCE:
         raise InvalidRequest(
             "the line has no extent: the tip is there already; choose another point", field=f"{field}.position"
         )

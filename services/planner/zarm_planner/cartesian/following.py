@@ -23,7 +23,7 @@ _JUMP = 0.5
 """Rad between two stations, some 10 mm apart: what moves further is a jump, or so near a singularity that it is one."""
 _WIDTH = 24
 """Configurations that the search keeps at each station."""
-_WAYS = 3
+_ALTERNATIVES = 3
 """Ways that it tries from each, besides the shortest."""
 _TURN = 0.25
 """Rad that such a way may lead aside."""
@@ -54,7 +54,7 @@ class Following:
             if path is None:
                 raise self._stopped(poses, reached, checked=False)
             return path
-        searched, furthest = self._followed(poses, Breadth(_WAYS, _TURN, _JUMP), _WIDTH, checked=True)
+        searched, furthest = self._followed(poses, Breadth(_ALTERNATIVES, _TURN, _JUMP), _WIDTH, checked=True)
         if searched is not None:
             return self._straight(poses, searched, checked=True)
         if path is not None:  # spheres are larger than the links: verification will tell

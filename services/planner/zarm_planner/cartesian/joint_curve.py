@@ -13,7 +13,7 @@ from zarm_trajectory.arrays import Array
 
 PROGRESS = 3
 """Columns that a motion along a curve has besides the joints: the curve's parameter, the tip's way (m), its turn (rad)."""
-_PARTS = 4
+_PARTS_PER_INTERVAL = 4
 """Parts of each interval between stations by which lengths are measured."""
 
 
@@ -47,10 +47,12 @@ class JointCurve:
 def _measured(curve: ToolCurve) -> Array:
     """How far the tip has moved (m) and turned (rad) at each station: (n, 2)."""
     count = len(curve.stations)
-    fine = np.interp(np.arange((count - 1) * _PARTS + 1) / _PARTS, np.arange(count), curve.stations)
+    fine = np.interp(
+        np.arange((count - 1) * _PARTS_PER_INTERVAL + 1) / _PARTS_PER_INTERVAL, np.arange(count), curve.stations
+    )
     position, turned = curve.at(fine)
     moved = np.linalg.norm(np.diff(position, axis=0), axis=1)
     # The difference of two rotations that are an angle t apart has the Frobenius norm 2 sqrt(2) sin(t / 2).
     turns = 2.0 * np.arcsin(np.linalg.norm(np.diff(turned, axis=0), axis=(1, 2)) / 8.0**0.5)
     total = np.insert(np.cumsum(np.column_stack((moved, turns)), axis=0), 0, 0.0, axis=0)
-    return np.asarray(total[::_PARTS])
+    return np.asarray(total[::_PARTS_PER_INTERVAL])

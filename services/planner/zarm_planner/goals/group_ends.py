@@ -20,7 +20,7 @@ from zarm_planner.goals.ends import End, blocked_goal, broken_goal, goal_ends, r
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_trajectory.arrays import Array
 
-_MOST = 16
+_MAX_CONFIGURATIONS = 16
 """Most configurations considered for a goal of several groups."""
 _ALTOGETHER = 256
 """Most combinations of solutions of the groups that are looked at, those nearest to the start."""
@@ -61,14 +61,14 @@ def group_ends(
     for q, pose in combined[:_ALTOGETHER]:
         if is_free(context.model, context.world, q) and (not context.thorough_ik or context.exact.is_free(q)):
             ends.append(End.at(q)._replace(pose=pose))
-        if len(ends) == (_MOST if constraint is None else _ALTOGETHER):
+        if len(ends) == (_MAX_CONFIGURATIONS if constraint is None else _ALTOGETHER):
             break
-    for q, pose in [] if ends else combined[:_MOST]:
+    for q, pose in [] if ends else combined[:_MAX_CONFIGURATIONS]:
         context.deadline.check()
         if context.exact.is_free(q) and (end := rest_end(context, q, constraint)) is not None:
             ends.append(end._replace(pose=pose))
     if not ends:
-        raise blocked_goal(context, [q for q, _ in combined[:_MOST]], field)
+        raise blocked_goal(context, [q for q, _ in combined[:_MAX_CONFIGURATIONS]], field)
     return tuple(ends)
 
 
@@ -86,8 +86,8 @@ def _following(
     from `start` (dof,); with `thorough_ik`, or if there are none, all. Raises PlanningFailed.
     """
     made: list[_Reached] = []
-    for most in (_MOST,) if context.thorough_ik else (_DIFFERENT, _MOST):
-        last = most == _MOST or most >= len(begun)
+    for most in (_MAX_CONFIGURATIONS,) if context.thorough_ik else (_DIFFERENT, _MAX_CONFIGURATIONS):
+        last = most == _MAX_CONFIGURATIONS or most >= len(begun)
         try:
             made = _with_follower(context, begun[:most], group, constraint)
         except PlanningFailed:

@@ -25,7 +25,7 @@ _GAIN = 0.02
 """Share of the curve by which twice as many stations have to lead further, or a search among ways to use freedom, which takes
 long, is not repeated with more.
 """
-_SHARE = 0.3
+_DEVIATION_SHARE = 0.3
 """Share of the permitted deviation that the joints may use between two stations."""
 
 
@@ -58,7 +58,7 @@ class CartesianPlanner(Planner):
                     path = Following(context.scene, context.deadline, context.seed, curve, task, start).path()
                 with context.timer.stage("shortcut"):
                     joints = JointCurve.of(curve, path)
-                    if task.use_between(joints) <= _SHARE:
+                    if task.use_between(joints) <= _DEVIATION_SHARE:
                         return curve, joints
             except PlanningFailed as stopped:  # near a singularity the joints move far between two stations
                 fraction = stopped.problem.fraction or 0.0

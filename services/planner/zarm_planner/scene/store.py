@@ -53,8 +53,8 @@ Complete = Callable[[Scene, SingleEdit], tuple[SingleEdit, Array]]
 
 _AT_BASE = np.eye(4)
 _IGNORING = SetLinkCollision | SetObjectCollision | SetPairCollision
-_FARTHEST = 1e3
-_THINNEST = 1e-4
+_MAX_DISTANCE = 1e3
+_MIN_THICKNESS = 1e-4
 MAX_PARTS = 300_000
 """Objects, occupied cells and shapes of meshes in one scene."""
 
@@ -290,9 +290,9 @@ def _parts(item: SceneObject, meshes: Meshes) -> int:
 
 def _check_size(item: SceneObject | PointCloud, field: str) -> None:
     """Refuse sizes and positions that no robot meets and that distances cannot be computed with."""
-    if not all(abs(x) <= _FARTHEST for x in item.position):
+    if not all(abs(x) <= _MAX_DISTANCE for x in item.position):
         raise InvalidRequest(
-            f"{item.name} is further than {_FARTHEST:g} m away; positions are in m, in the base frame",
+            f"{item.name} is further than {_MAX_DISTANCE:g} m away; positions are in m, in the base frame",
             field=f"{field}.position",
         )
     if isinstance(item, Cuboid):
@@ -304,8 +304,8 @@ def _check_size(item: SceneObject | PointCloud, field: str) -> None:
     else:
         sizes = {"radius": item.radius, "length": item.length}
     for name, size in sizes.items():
-        if not _THINNEST <= size <= _FARTHEST:
+        if not _MIN_THICKNESS <= size <= _MAX_DISTANCE:
             raise InvalidRequest(
-                f"{item.name}: {size:g} m is outside {_THINNEST:g} to {_FARTHEST:g} m; sizes are in m",
+                f"{item.name}: {size:g} m is outside {_MIN_THICKNESS:g} to {_MAX_DISTANCE:g} m; sizes are in m",
                 field=f"{field}.{name}",
             )

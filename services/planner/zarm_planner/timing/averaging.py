@@ -17,7 +17,7 @@ from zarm_trajectory.arrays import Array
 
 DEVIATION = 1e-3
 """Largest deviation (rad) of each joint when passing a via."""
-SHORTEST = 0.1
+MIN_AVERAGING_TIME = 0.1
 """Least averaging time, in samples."""
 
 

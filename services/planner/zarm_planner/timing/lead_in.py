@@ -19,12 +19,12 @@ from zarm_geometry.working_memory import working_memory
 from zarm_geometry.world import World
 from zarm_planner.kernels.lead_in import brake
 from zarm_planner.kernels.ramps import Ramps, make_ramps
-from zarm_planner.timing.averaging import DEVIATION, SHORTEST, Averaging
+from zarm_planner.timing.averaging import DEVIATION, MIN_AVERAGING_TIME, Averaging
 from zarm_planner.timing.sampling import TOLERANCE
 from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 
-_WAYS = 300
+_MAX_BRAKING_MOTIONS = 300
 """Ways to brake that are tried; each that is not free takes some 20 us."""
 _EXACT_WAYS = 20
 """The same among those that are not free in spheres."""
@@ -70,7 +70,7 @@ def ways_to_rest(
     used = Averaging.of(
         ways,
         np.stack((limits.velocity, share * limits.acceleration, limits.jerk)),
-        SHORTEST * dt,
+        MIN_AVERAGING_TIME * dt,
         deviation=DEVIATION if vias else np.inf,
         begun=acceleration,
         velocity=velocity,
@@ -112,7 +112,7 @@ def ways_to_rest(
         )
         return LeadIn(state, rest, kept, window, fastest, strongest)
 
-    if way(0, _WAYS, True) >= 0:
+    if way(0, _MAX_BRAKING_MOTIONS, True) >= 0:
         yield lead_in()
     number = -1
     while (number := way(number + 1, _EXACT_WAYS, False)) >= 0:

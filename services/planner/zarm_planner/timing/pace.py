@@ -19,7 +19,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 _WINDOW = 8.0
 """The averaging time, in the times in which the joints reach their largest acceleration."""
-_LEAST = 1e-4
+_MIN_SQUARED_PACE = 1e-4
 """Least square of a pace: a hundredth of the motion's own."""
 _ROUNDS = 4
 """How often less is allowed where a limit is exceeded."""
@@ -49,7 +49,7 @@ def paced(motion: TimedTrajectory, grid: Array, states: Array, torque: Array, li
     for _ in range(_ROUNDS):
         bounded = torque.copy()
         bounded[2:] *= share[:, None]
-        square = fastest_squares(grid, np.concatenate((bounded, accelerating), axis=2), most, _LEAST)
+        square = fastest_squares(grid, np.concatenate((bounded, accelerating), axis=2), most, _MIN_SQUARED_PACE)
         at = times_at_pace(grid, square)
         pace = averaged_pace(grid, square, at, window, at)
         if tightened(at, pace, torque, changes, rates, reach, share, most) <= _LITTLE:

@@ -21,7 +21,7 @@ from zarm_planner.kernels import averaging as kernel
 from zarm_planner.kernels.ramps import along, make_ramps, ramps_from
 from zarm_planner.kernels.sampling import knots, sample_average
 from zarm_planner.kernels.smoothing import smooth
-from zarm_planner.timing.averaging import DEVIATION, SHORTEST, Averaging, total_ways
+from zarm_planner.timing.averaging import DEVIATION, MIN_AVERAGING_TIME, Averaging, total_ways
 from zarm_planner.timing.lead_in import LeadIn
 from zarm_planner.timing.sampling import TOLERANCE, load, sample_times, within
 from zarm_trajectory.arrays import Array
@@ -67,7 +67,7 @@ class Smoothing:
         self._ramps = make_ramps(len(path) + _SPARE_ROWS, model.dof)
         if lead_in is None:
             used = Averaging.of(
-                total_ways(path), limits.rates, SHORTEST * dt, deviation=deviation if len(vias) else np.inf
+                total_ways(path), limits.rates, MIN_AVERAGING_TIME * dt, deviation=deviation if len(vias) else np.inf
             )
             self._window, self._begin, past_count = used.window, 0.0, 0
             fastest, strongest = used.velocity, used.acceleration
@@ -172,4 +172,4 @@ def least_duration(start: Array, goals: Array, limits: Limits, dt: float) -> flo
     """Lower bound (s) on the duration of `smooth_path` from `start` (dof,) to any of `goals` (n, dof), without
     obstacles.
     """
-    return kernel.least_duration(start, goals, limits.rates, SHORTEST * dt)
+    return kernel.least_duration(start, goals, limits.rates, MIN_AVERAGING_TIME * dt)

@@ -29,7 +29,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 _SAMPLING = 0.01
 """Longest interval (s) between samples. Steps of acceleration are averaged over at least two, which prolongs the motion."""
-_SHORTEST = 2.0
+_MIN_AVERAGING_TIME = 2.0
 """Least averaging time, in samples: a quintic between two samples cannot follow a step."""
 _STEP = 0.05
 """Length of path (rad) between points at which a velocity is chosen."""
@@ -56,7 +56,7 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Timed
     path, dt = _distinct(path), min(dt, _SAMPLING)
     if len(path) == 1:
         return TimedTrajectory.standing(path[0], dt)
-    edges = [_straight(a, b, limits, dt, _SHORTEST) for a, b in itertools.pairwise(path)]
+    edges = [_straight(a, b, limits, dt, _MIN_AVERAGING_TIME) for a, b in itertools.pairwise(path)]
     if (
         len(edges) > 1
         and deviation > 0
@@ -204,7 +204,7 @@ def fastest_along(
     """
     pieces = np.maximum(least, np.ceil(np.diff(curve.time) / step)).astype(int)
     s = np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), curve.time)
-    used = Averaging.of(total_ways(curve.position), limits.rates, _SHORTEST * dt)
+    used = Averaging.of(total_ways(curve.position), limits.rates, _MIN_AVERAGING_TIME * dt)
     _, slope, bend = curve.states if len(s) == len(curve.time) else curve.sample(s)
     with np.errstate(divide="ignore"):
         most = (used.velocity / np.abs(slope)).min(axis=1) ** 2

@@ -18,19 +18,19 @@ _COARSE = 0.025
 """Between two samples that are no further apart (s) a motion is not looked at ..."""
 _FAR = 0.8
 """... if it stays below this share of its limits in these."""
-_FINE = 0.003
+_MAX_CHECK_INTERVAL = 0.003
 """Largest time (s) between two looks where it does not,"""
 _VERIFIED = 0.001
 """and there at one that has been slowed down,"""
-_LOOKS = 5000
+_MAX_CHECKS = 5000
 """unless there would be more."""
 _GRID = 0.006
 """Largest time (s) between two points at which the pace of a motion is found."""
-_SHARE = 0.993
+_TORQUE_SHARE = 0.993
 """Share of the largest torque that a motion may take: what is left is for rounding, and for what is between two looks."""
 _SHARE_BEGUN = 0.95
 """The same where the motion has begun, and cannot be slowed down as a whole in the end."""
-_SAME = 1e-9
+_STATE_TOLERANCE = 1e-9
 """Largest difference between two equal states."""
 _SMALL = 1e-9
 """A torque (Nm) that counts as 0."""
@@ -69,19 +69,19 @@ def within_torque(
     InvalidRequest if the motion becomes longer than a message holds.
     """
     limit, joints = dynamics.limit, slice(len(limits.joints))
-    looks = _Looks.at(dynamics, motion, joints, _FINE, _GRID)
+    looks = _Looks.at(dynamics, motion, joints, _MAX_CHECK_INTERVAL, _GRID)
     use = looks.largest(limit)
-    if use.share <= _SHARE:
+    if use.share <= _TORQUE_SHARE:
         return motion, use
     holding = looks.holding(dynamics)
     held = _largest(looks.times, holding, limit)
-    if held.share >= _SHARE:
+    if held.share >= _TORQUE_SHARE:
         raise TooHeavy(
             held.joint,
             f"would need {held.share * limit[held.joint]:.0f} Nm to stand still at {held.time:.2f} s of the trajectory, and has "
             f"{limit[held.joint]:.0f}: the robot carries too much",
         )
-    room = (_SHARE_BEGUN if begun else _SHARE) * limit
+    room = (_SHARE_BEGUN if begun else _TORQUE_SHARE) * limit
     position, velocity, _ = looks.states[:, :, joints]
     inert = dynamics.torque(position, np.zeros_like(velocity), velocity) - holding
     needs = np.stack((looks.torque - holding, inert, -room - holding, room - holding))
@@ -90,7 +90,7 @@ def within_torque(
     stretch = max(at_last.stretch(dynamics), load(slower.columns(joints), limits))
     if begun:
         if stretch > 1.0 + TOLERANCE or not np.allclose(
-            slower.states[:, 0], motion.states[:, 0], rtol=_SAME, atol=_SAME
+            slower.states[:, 0], motion.states[:, 0], rtol=_STATE_TOLERANCE, atol=_STATE_TOLERANCE
         ):
             raise TooFast(use)
         return slower, at_last.largest(limit)
@@ -119,7 +119,7 @@ class _Looks(NamedTuple):
         close = _near(motion, torque, dynamics.limit)
         if not close.any():
             return cls(motion.time, motion.states, joints, torque)
-        times = _between(motion, np.maximum(np.where(close, near, far), motion.duration / _LOOKS))
+        times = _between(motion, np.maximum(np.where(close, near, far), motion.duration / _MAX_CHECKS))
         states = motion.sample(times)
         return cls(times, states, joints, dynamics.torque(*states[:, :, joints]))
 
@@ -138,12 +138,12 @@ class _Looks(NamedTuple):
 
     def stretch(self, dynamics: Dynamics) -> float:
         """How many times as long, at least once, the motion must take to keep the largest torques."""
-        over = (np.abs(self.torque) > _SHARE * dynamics.limit).any(axis=1)
+        over = (np.abs(self.torque) > _TORQUE_SHARE * dynamics.limit).any(axis=1)
         if not over.any():
             return 1.0
         holding = dynamics.holding(self.states[0, over][:, self.joints])
         moving = self.torque[over] - holding
-        room = np.maximum(_SHARE * dynamics.limit - np.sign(moving) * holding, _SMALL)
+        room = np.maximum(_TORQUE_SHARE * dynamics.limit - np.sign(moving) * holding, _SMALL)
         return max(1.0, float(np.sqrt((np.abs(moving) / room).max())))
 
 

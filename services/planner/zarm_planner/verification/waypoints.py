@@ -13,7 +13,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 _STEP = 0.001
 """Interval (s) of the samples."""
-_LOOKS = 5000
+_SAMPLES_PER_BATCH = 5000
 """Samples processed in one batch, some milliseconds; a slow motion has many more."""
 
 
@@ -32,7 +32,9 @@ def passing_times(
     is called now and then and may raise.
     """
     t = np.linspace(0.0, trajectory.duration, int(trajectory.duration / _STEP) + 2)
-    tips = np.concatenate([_tips(model, trajectory, t[k : k + _LOOKS], check) for k in range(0, len(t), _LOOKS)])
+    tips = np.concatenate(
+        [_tips(model, trajectory, t[k : k + _SAMPLES_PER_BATCH], check) for k in range(0, len(t), _SAMPLES_PER_BATCH)]
+    )
     times: list[float] = []
     begin = 0
     for number, waypoint in enumerate(waypoints):

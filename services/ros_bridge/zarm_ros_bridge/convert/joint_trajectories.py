@@ -18,7 +18,7 @@ from zarm_trajectory.arrays import Array
 MOST_POINTS = 100_000
 _LATEST = 60.0
 """How long (s) after now a trajectory may begin."""
-_THERE = 0.01
+_START_TOLERANCE = 0.01
 """How far (rad) a joint may be from where a trajectory without duration has it."""
 
 
@@ -58,7 +58,7 @@ def trajectory_of(
         )
     if len(time) < 2:
         off = np.abs(position[0] - present())
-        if off.max() > _THERE:
+        if off.max() > _START_TOLERANCE:
             joint = joints[int(off.argmax())]
             raise InvalidRequest(
                 f"the only point is at time 0, and {joint} is {off.max():.4f} rad from it; give it a time",

@@ -9,7 +9,7 @@ from zarm_contract.messages import Pose, ServoSession
 
 _PAUSE = 0.08
 """A stream of poses without a new one for this long (s) has paused: the robot brakes for a target older than 0.1 s."""
-_STILL = (0.0, 0.0, 0.0)
+_ZERO_VELOCITY = (0.0, 0.0, 0.0)
 
 
 class LiveTarget:
@@ -48,7 +48,7 @@ class LiveTarget:
         if streamed:
             tracking.to(pose)
             return False
-        tracking.to(pose, linear=_STILL, angular=_STILL)
+        tracking.to(pose, linear=_ZERO_VELOCITY, angular=_ZERO_VELOCITY)
         if moved:
             self._first = self._sent
         return moved

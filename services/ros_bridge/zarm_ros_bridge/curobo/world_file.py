@@ -21,7 +21,7 @@ _KEYS = {
     "mesh": {"pose", "file_path", "scale"},
 }
 """The kinds of obstacle that are read, and the keys of each."""
-_LOOKS = {"name", "color", "material", "texture", "texture_id", "tensor_args"}
+_IGNORED_KEYS = {"name", "color", "material", "texture", "texture_id", "tensor_args"}
 """Keys of cuRobo's obstacles that change neither place nor shape."""
 
 
@@ -79,7 +79,7 @@ def _obstacle(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
 
     Raises KeyError, TypeError or ValueError for what is missing or unknown.
     """
-    if unknown := sorted(set(given) - _KEYS[kind] - _LOOKS):
+    if unknown := sorted(set(given) - _KEYS[kind] - _IGNORED_KEYS):
         raise ValueError(f"{', '.join(unknown)} is not read here")
     if kind == "sphere":
         return {"position": (given.get("pose") or given["position"])[:3], "radius": given["radius"]}

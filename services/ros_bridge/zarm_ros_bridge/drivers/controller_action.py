@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 
 _DISCOVERY, _AGAIN = 0.8, 0.05
 """How long (s) a controller may stay undiscovered, which is less than a robot may stand still; and how often that is looked at."""
-_LOOK = 0.5  # s
+_POLL_PERIOD = 0.5  # s
 _Result = FollowJointTrajectory.Result
 _NAMES = {
     _Result.INVALID_GOAL: "INVALID_GOAL",
@@ -43,7 +43,7 @@ class ControllerAction:
         self._client = ActionClient(ros.node, FollowJointTrajectory, name, callback_group=ros.group)
         self._run = ros.run
         self._served = False
-        ros.node.create_timer(_LOOK, self._look, callback_group=ros.group)
+        ros.node.create_timer(_POLL_PERIOD, self._look, callback_group=ros.group)
         self._newest = self._waited_for = self._waits = 0
         self._handle: Any | None = None
 

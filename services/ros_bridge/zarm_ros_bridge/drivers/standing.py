@@ -8,7 +8,7 @@ _OF_TIMEOUT = 0.6
 """Interval of those passed on at rest, as a share of the descriptor's `joint_state_timeout`: 17 Hz for 0.1 s. More
 would be of no use to anyone, and each costs the executor some 0.3 ms of CPU.
 """
-_LONGEST = 0.1
+_MAX_INTERVAL = 0.1
 """Longest interval (s), however long the executor waits: a planner rejects joints older than half a second."""
 _TOLERANCE = 1.1
 """Factor by which the interval may grow if the driver is slightly irregular."""
@@ -23,7 +23,7 @@ class Standing:
     """Decides which joint states are passed on to an executor that waits for them for `timeout` (s)."""
 
     def __init__(self, timeout: float) -> None:
-        self._period = min(_OF_TIMEOUT * timeout, _LONGEST)
+        self._period = min(_OF_TIMEOUT * timeout, _MAX_INTERVAL)
         self._passed: JointState | None = None
         self._passed_at = self._came_at = 0.0
         self.pause: float | None = None

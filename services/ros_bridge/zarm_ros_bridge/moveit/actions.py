@@ -31,7 +31,7 @@ from zarm_ros_bridge.moveit.states import robot_trajectory, trajectory_start
 from zarm_ros_bridge.ros import Ros
 from zarm_ros_bridge.turns import Turns
 
-_REMEMBERED = 100
+_PLANS_KEPT = 100
 """Plans whose trajectory is known again when a client sends it back."""
 
 
@@ -47,7 +47,7 @@ class PlansByTrajectory:
         trajectory = plan.trajectory
         with self._turn:
             self._plans[_digest(trajectory.joint_names, trajectory.position, trajectory.time)] = plan.plan_id
-            while len(self._plans) > _REMEMBERED:
+            while len(self._plans) > _PLANS_KEPT:
                 self._plans.popitem(last=False)
         return plan
 

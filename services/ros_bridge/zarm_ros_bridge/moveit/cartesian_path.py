@@ -25,7 +25,7 @@ from zarm_ros_bridge.moveit.requests import Scales
 from zarm_ros_bridge.moveit.states import start_of
 from zarm_ros_bridge.transforms import between
 
-MOST = 1000
+MAX_WAYPOINTS = 1000
 """Most waypoints of a path."""
 _SHORTER = 0.01
 """Share of the path by which it ends before what cannot be followed, and by which it is shortened again if that fails."""
@@ -50,10 +50,10 @@ class CartesianPaths:
             raise Refusal(
                 Val.FAILURE, "max_step is the distance of two points of the path; give one above 0", "max_step"
             )
-        if not 0 < len(request.waypoints) <= MOST:
+        if not 0 < len(request.waypoints) <= MAX_WAYPOINTS:
             raise Refusal(
                 Val.INVALID_GOAL_CONSTRAINTS,
-                f"{len(request.waypoints)} waypoints; a path has 1 to {MOST}",
+                f"{len(request.waypoints)} waypoints; a path has 1 to {MAX_WAYPOINTS}",
                 "waypoints",
             )
         descriptor, links = group.robot.descriptor, self._frames.links

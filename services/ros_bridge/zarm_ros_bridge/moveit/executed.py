@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from zarm_contract.messages import JointState
 from zarm_ros_bridge.engine import Engine
 
-_EVERY = 0.02
+_MIN_INTERVAL = 0.02
 """Least time (s) between two points."""
 
 
@@ -23,7 +23,7 @@ def measured(engine: Engine) -> Iterator[list[JointState]]:
     states: list[JointState] = []
 
     def receive(_: str, state: JointState) -> None:
-        if not states or state.stamp >= states[-1].stamp + _EVERY:
+        if not states or state.stamp >= states[-1].stamp + _MIN_INTERVAL:
             states.append(state)
 
     end = engine.bus.subscribe(engine.keys.joint_states, receive)

@@ -31,10 +31,10 @@ Bounds = tuple[float | Literal["free"], float | Literal["free"], float | Literal
 
 EXACT_DISTANCE, EXACT_ANGLE = 0.002, 0.01
 """Tolerances (m, rad) up to which a goal is planned for exactly: they stand for "here", and an exact pose is found sooner."""
-_FARTHEST = 100.0  # m, the largest bound of a distance
+_MAX_DISTANCE = 100.0  # m, the largest bound of a distance
 _COMPONENT, _PRODUCT = 0.7, 0.6
 """Share of an Euler angle's tolerance for the component of the rotation vector; and how much of it the product of the two others takes."""
-_MOST = 64  # poses of one goal
+_MAX_POSES = 64  # poses of one goal
 _NEAREST = 4
 """How many configurations that reach a pose with bounded joints are planned for, one after the other."""
 _TILTED = math.radians(60.0)
@@ -73,7 +73,7 @@ def goals_of(
             isinstance(goal, PoseGoal)
             and isinstance(before, PoseGoal)
             and (goal.tolerance, goal.tip) == (before.tolerance, before.tip)
-            and len(before.poses) + len(goal.poses) <= _MOST
+            and len(before.poses) + len(goal.poses) <= _MAX_POSES
         ):
             goals[-1] = before.model_copy(update={"alternatives": (*before.alternatives, *goal.poses)})
         else:
@@ -229,7 +229,7 @@ def _position(region: PointRegion, turned: Array) -> tuple[Bounds, float | None,
     for frame, axes in (("base", np.eye(3)), ("tool", turned)):
         along = axes.T @ turn  # the box's axes, as seen from this frame
         if np.allclose(np.sort(np.abs(along), axis=1), [0.0, 0.0, 1.0], atol=1e-6):
-            x, y, z = (min(value, _FARTHEST) for value in (np.abs(along) @ np.array(region.half)).tolist())
+            x, y, z = (min(value, _MAX_DISTANCE) for value in (np.abs(along) @ np.array(region.half)).tolist())
             return (x, y, z), None, "base" if frame == "base" else "tool"
     least = min(region.half)
     return exact, least if least > 0.0 else None, "tool"

@@ -28,7 +28,7 @@ from zarm_ros_bridge.moveit.states import Positions, robot_state, start_of
 _SECONDS = 65.0
 """Longest wait (s) for a batch, for which the planner allows 60 s."""
 _BATCH = 1000  # most states in one request
-_FEW = 12
+_SOLUTIONS_PER_ARM = 12
 """Solutions of each arm, among which those are sought that go together."""
 
 
@@ -103,7 +103,7 @@ class Kinematics:
     def _together(self, wanted: Sequence[_Wanted], near: Positions, *, collision_free: bool) -> list[Positions]:
         """Joints of the robot that reach the poses of all arms, nearest first. The arms may be in each other's way, so that each offers a few."""
         offers = [
-            [one.group.part(state) for state in self._solutions(one, near, _FEW, collision_free=False)]
+            [one.group.part(state) for state in self._solutions(one, near, _SOLUTIONS_PER_ARM, collision_free=False)]
             for one in wanted
         ]
         states = []

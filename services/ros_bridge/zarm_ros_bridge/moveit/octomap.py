@@ -27,7 +27,7 @@ OCTOMAP_NS = "<octomap>"
 """What MoveIt calls the octomap in the allowed collision matrix."""
 OCTOMAP = "octomap"
 """The object of the scene that a client's octomap is."""
-MOST = 1_000_000
+MAX_OCCUPIED_CELLS = 1_000_000
 """Most occupied cells of a map that is taken."""
 _CORNERS = np.array([[child >> axis & 1 for axis in range(3)] for child in range(8)], np.int64)
 """Where the children of a node begin, x in the lowest bit."""
@@ -163,10 +163,10 @@ class _Leaves:
 
     def _add(self, corner: Keys, size: int) -> None:
         self._count += size**3
-        if self._count > MOST:
+        if self._count > MAX_OCCUPIED_CELLS:
             raise Refusal(
                 Val.FAILURE,
-                f"more than {MOST} cells are occupied; send a map of what is near the robot, or a coarser one",
+                f"more than {MAX_OCCUPIED_CELLS} cells are occupied; send a map of what is near the robot, or a coarser one",
                 "world.octomap.octomap.data",
             )
         self.found.append(corner + np.argwhere(np.ones((size, size, size), np.bool_)))

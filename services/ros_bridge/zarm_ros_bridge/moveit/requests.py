@@ -35,7 +35,7 @@ from zarm_ros_bridge.moveit.path_constraints import constrained_plan, kept
 from zarm_ros_bridge.moveit.planners import along
 from zarm_ros_bridge.moveit.states import Positions, start_of
 
-LONGEST = 60.0
+MAX_PLANNING_TIME = 60.0
 """The longest planning time (s)."""
 _SLOWER = 0.95
 """Factor by which a motion that is too fast for a bound of a link's speed is slowed below that bound."""
@@ -94,7 +94,9 @@ class MotionPlanRequests:
         options: dict[str, Any] = {
             "group": group.name,
             "start": start,
-            "timeout": min(request.allowed_planning_time, LONGEST) if request.allowed_planning_time > 0.0 else None,
+            "timeout": min(request.allowed_planning_time, MAX_PLANNING_TIME)
+            if request.allowed_planning_time > 0.0
+            else None,
             "velocity_scale": scales.velocity,
             "acceleration_scale": scales.acceleration,
         }
@@ -139,7 +141,9 @@ class MotionPlanRequests:
             timeout += item.req.allowed_planning_time
         return ask(
             ProgramRequest(
-                segments=tuple(segments), start=start, timeout=min(timeout, LONGEST) if timeout > 0.0 else None
+                segments=tuple(segments),
+                start=start,
+                timeout=min(timeout, MAX_PLANNING_TIME) if timeout > 0.0 else None,
             )
         )
 

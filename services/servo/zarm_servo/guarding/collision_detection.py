@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 
 _SPAN = 0.02
 """Time (s) over which efforts are compared with the change of momentum: less is noise, more is late."""
-_LONGEST = 0.1
+_MAX_INTERVAL = 0.1
 """Joint states further apart than this (s) are not compared: between them, anything may have happened."""
 _PERIOD = 0.1
 """Interval (s) at which the torque is published while nothing happens."""
@@ -100,7 +100,7 @@ class CollisionDetection:
         if sample is None:
             return
         samples = self._samples
-        if samples and not 0.0 < sample.stamp - samples[-1].stamp <= _LONGEST:
+        if samples and not 0.0 < sample.stamp - samples[-1].stamp <= _MAX_INTERVAL:
             samples.clear()
         samples.append(sample)
         while len(samples) > 2 and sample.stamp - samples[1].stamp >= 0.99 * _SPAN:  # stamps are rounded

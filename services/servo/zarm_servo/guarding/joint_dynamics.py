@@ -11,11 +11,11 @@ from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointDynamics as JointDynamicsMessage
 from zarm_trajectory.arrays import Array, Single
 
-_SLOW = 0.05
+_SLIDING_VELOCITY = 0.05
 """A joint slower than this (rad/s, m/s) may be about to turn round, or stick: how much of its friction acts, and in which direction, is not sure."""
-KEPT = 30_000
+STATES_KEPT = 30_000
 """Joint states from which the joints are identified: five minutes at 100 Hz."""
-LEAST = 1_000
+MIN_STATES = 1_000
 """From fewer they are not identified."""
 
 
@@ -32,7 +32,7 @@ class Moving(NamedTuple):
     @classmethod
     def over(cls, velocities: Array, acceleration: Array) -> Self:
         """Over joint states with these velocities (n, J)."""
-        directions: Array = np.tanh(velocities / _SLOW)
+        directions: Array = np.tanh(velocities / _SLIDING_VELOCITY)
         return cls(
             directions.mean(axis=0),
             np.abs(directions).min(axis=0),
@@ -65,24 +65,24 @@ class JointDynamics(NamedTuple):
 
 
 class Identification:
-    """Finds the joint dynamics that explain best, by least squares, what the efforts exceed the needs of the links by. It keeps the last `KEPT` states."""
+    """Finds the joint dynamics that explain best, by least squares, what the efforts exceed the needs of the links by. It keeps the last `STATES_KEPT` states."""
 
     def __init__(self, joints: tuple[str, ...]) -> None:
         self._joints = joints
-        self._states: Single = np.empty((KEPT, 5, len(joints)), dtype=np.float32)
+        self._states: Single = np.empty((STATES_KEPT, 5, len(joints)), dtype=np.float32)
         self._count = 0
 
     def add(self, moving: Moving, excess: Array) -> None:
         """Take a state of a motion, and what the efforts (J,) exceed the needs of the links by."""
-        self._states[self._count % KEPT] = *moving, excess
+        self._states[self._count % STATES_KEPT] = *moving, excess
         self._count += 1
 
     def found(self) -> JointDynamicsMessage:
         """The joint dynamics in the states so far. Raises Unavailable for too few."""
-        states = self._states[: min(self._count, KEPT)].astype(float)
-        if len(states) < LEAST:
+        states = self._states[: min(self._count, STATES_KEPT)].astype(float)
+        if len(states) < MIN_STATES:
             raise Unavailable(
-                f"{len(states)} joint states of motions are too few to identify the joints, it takes {LEAST}; let the robot make the motions of its work"
+                f"{len(states)} joint states of motions are too few to identify the joints, it takes {MIN_STATES}; let the robot make the motions of its work"
             )
         moving, excess = Moving(*(states[:, k] for k in range(4))), states[:, 4]
         terms = np.stack((moving.direction, moving.velocity, moving.acceleration), axis=-1)

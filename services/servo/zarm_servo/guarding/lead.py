@@ -10,7 +10,7 @@ _SPARE = 1.25
 """Factor on the second longest of the recent times that gives the lead: one slow plan does not delay the next takeovers."""
 _LATER = 1.5
 """Factor by which the lead grows each time that a trajectory came too late, until one is in time."""
-_REMEMBERED = 4
+_TIMES_KEPT = 4
 """Number of recent times remembered."""
 
 
@@ -18,7 +18,7 @@ class Lead:
     """Learns from the time it takes to plan and hand over a trajectory."""
 
     def __init__(self) -> None:
-        self._took: deque[float] = deque((0.0, 0.0), maxlen=_REMEMBERED)
+        self._took: deque[float] = deque((0.0, 0.0), maxlen=_TIMES_KEPT)
         self._late = 0
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from zarm_servo.kernels.step import PERIOD
-from zarm_servo.tracking.receding_horizon import INTERVAL, LONGEST, nearest_motion
+from zarm_servo.tracking.receding_horizon import INTERVAL, MAX_INTERVALS, nearest_motion
 from zarm_servo.tracking.reference import Reference
 from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
@@ -32,7 +32,7 @@ class ChunkFollower:
         between = self._followed is None or self._step % _STEPS == 0  # intervals: there a plan keeps its limits exactly
         if between and (self._followed != (reference, rate) or self._step == _STEPS * len(self._jerks)):
             left = (reference.expires - time) / rate
-            count = min(max(int(left / INTERVAL), 1), LONGEST)
+            count = min(max(int(left / INTERVAL), 1), MAX_INTERVALS)
             wanted = reference.sample(time + rate * INTERVAL * np.arange(1.0, count + 1.0))[0]
             wanted = np.clip(wanted, self._limits.lower, self._limits.upper)
             jerks = nearest_motion(state, wanted, self._limits)

@@ -23,7 +23,7 @@ SOON = 10.0
 """A chunk starts at most so long (s) after it was made."""
 JUMP = 0.5
 """A chunk begins at most this far (rad) from where the chunk before, or the robot, would be."""
-LONGEST = 60.0
+MAX_CHUNK_DURATION = 60.0
 """Longest chunk (s)."""
 LARGEST = 1000.0
 """A larger number (rad, rad/s) is in another unit, or the result of a division by zero."""
@@ -200,8 +200,8 @@ def _times(message: ServoChunk) -> Array:
         times, field = np.array(message.time), "time"
     if np.diff(times).min() < _CLOSEST:
         raise InvalidRequest(f"points follow each other by {_CLOSEST:g} s at least", field=field)
-    if times[-1] > LONGEST:
+    if times[-1] > MAX_CHUNK_DURATION:
         raise InvalidRequest(
-            f"the chunk lasts {times[-1]:.3g} s (at most {LONGEST:g} s); send less at once", field=field
+            f"the chunk lasts {times[-1]:.3g} s (at most {MAX_CHUNK_DURATION:g} s); send less at once", field=field
         )
     return times

@@ -19,7 +19,7 @@ from zarm_servo.tracking.reference import Reference
 from zarm_servo.tracking.targets import JointTarget
 from zarm_trajectory.limits import Limits
 
-_APART = 10
+_STEPS_UNTIL_RETRY = 10
 """After a step along a chunk that was not free, so many are taken otherwise before the next is tried."""
 _LAG_SPEED = 0.05
 """Slower than this (rad/s), no lag is told."""
@@ -117,6 +117,6 @@ class ChunkTracking:
             step = None if after is None else self._controller.follow(after, around)
             if step is not None:
                 return step
-            self._apart = _APART
+            self._apart = _STEPS_UNTIL_RETRY
         position, velocity, _ = reference.sample(np.array([when]), rate)[:, 0]
         return self._controller.step(JointTarget(position, velocity), 0.0, around)

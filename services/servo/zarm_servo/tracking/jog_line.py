@@ -14,7 +14,7 @@ _PARALLEL = 0.9999
 """Cosine of two twists with one direction: within 0.8 deg."""
 _ASIDE = 0.1
 """Share of its twist by which the tip may still move otherwise where the line begins."""
-_SHARE = 0.8
+_ACCELERATION_SHARE = 0.8
 """Share of the joints' acceleration with which the tip changes its speed on the line; the rest is to keep it there."""
 _LOST = 0.01
 """m and rad off the line from which another one begins: a singularity has led the tip aside, and nobody expects it to come back."""
@@ -66,7 +66,7 @@ class JogLine:
             return target
         if self._speed != wanted:
             rates = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + _DAMPING**2 * np.eye(6), along)
-            change = dt * _SHARE * float((acceleration / np.maximum(np.abs(rates), 1e-9)).min())
+            change = dt * _ACCELERATION_SHARE * float((acceleration / np.maximum(np.abs(rates), 1e-9)).min())
             self._speed = min(max(wanted, self._speed - change), self._speed + change)
         self._pose = moved(self._pose, float(along @ velocity) * along, dt)
         off = np.concatenate((self._pose[:3, 3] - tip[:3, 3], rotation_vector(self._pose[:3, :3] @ tip[:3, :3].T)))

@@ -12,7 +12,7 @@ from zarm_trajectory.arrays import Array
 
 _WINDOW = 0.12
 """Positions of the last so many s count."""
-_LEAST = 4
+_MIN_POSITIONS = 4
 """Fewer positions say nothing about how they go on."""
 _SMOOTH = 0.002, 0.05
 """Positions move steadily if they are this close (rad, share of how far they have moved) to a motion of constant acceleration."""
@@ -45,7 +45,7 @@ class JointStream:
         self._samples.append((stamp, position))
         while self._samples[0][0] < stamp - _WINDOW:
             self._samples.popleft()
-        if len(self._samples) < _LEAST:
+        if len(self._samples) < _MIN_POSITIONS:
             return JointTarget(position, np.zeros_like(position))
         times, positions = (
             np.array([time - stamp for time, _ in self._samples]),

@@ -38,7 +38,7 @@ _REACHED = 0.0005, 0.005, 0.001
 """m, rad, rad of a joint: closer than this, no plan is needed."""
 _REFRESHED = 0.2
 """Interval (s) at which a plan to a moving target is requested."""
-_SAME = 0.001, 0.01, 0.001
+_UNMOVED_TOLERANCES = 0.001, 0.01, 0.001
 """m, rad, rad of a joint: a target that has moved by less than this counts as unmoved."""
 _JUMPS = 0.1, 0.5, 0.3
 """m, rad, rad of a joint: a target further than this from the end of a plan has jumped, and the plan is obsolete."""
@@ -47,7 +47,7 @@ _ARRIVED = 0.1
 _STEER_DISTANCES = 0.8, 0.4, 0.2, 0.1, 0.05
 """Distances (rad) ahead on the plan of the point to steer for: the first one reached by a free straight line is used.
 """
-_LOOKS = 5
+_STEPS_PER_CHOICE = 5
 """Steps after which the point is chosen again."""
 _ATTEMPTS = 4
 """Plans tried per target and scene; if the robot gets stuck on all of them, it stays at rest."""
@@ -111,7 +111,11 @@ class LocalGoal:
 
     def _compare(self, wanted: PoseTarget | JointTarget, revision: SceneRevision | None) -> None:
         """If the target or the scene has changed, allow all attempts again."""
-        if self._asked_for is None or revision != self._revision or _apart(wanted, self._asked_for, _SAME):
+        if (
+            self._asked_for is None
+            or revision != self._revision
+            or _apart(wanted, self._asked_for, _UNMOVED_TOLERANCES)
+        ):
             self._attempts, self._timeout = 0, _TIMEOUTS[0]
             self.problem = None
         if self._asked is not None and self._asked_for is not None and _apart(wanted, self._asked_for, _JUMPS):
@@ -144,7 +148,7 @@ class LocalGoal:
         if self.problem is not None and since < 2 * self._timeout:
             return False
         plan = self._plan
-        if plan is not None and (revision != self._revision or _apart(wanted, plan.target, _SAME)):
+        if plan is not None and (revision != self._revision or _apart(wanted, plan.target, _UNMOVED_TOLERANCES)):
             return True
         if plan is None and self._too_slow(wanted, position):
             return True
@@ -159,7 +163,7 @@ class LocalGoal:
             return False
         errors = self._errors(wanted, position)
         left = errors[0] + _PER_RAD * errors[1] + errors[2]
-        rests = before is not None and not _apart(wanted, before, _SAME)
+        rests = before is not None and not _apart(wanted, before, _UNMOVED_TOLERANCES)
         self._before = self._steps, wanted, left if rests else np.inf
         late = left_before < np.inf and left > _SLOWDOWN * (left_before - left) / _RATE_OVER
         return rests and late and bool(np.any(np.greater(errors, _REACHED)))
@@ -171,7 +175,7 @@ class LocalGoal:
         return float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])), 0.0
 
     def _ahead(self, plan: GlobalPlan, position: Array) -> Array:
-        if self._point is None or self._steps % _LOOKS == 0:
+        if self._point is None or self._steps % _STEPS_PER_CHOICE == 0:
             plan.advance(position, _STEER_DISTANCES[0])
             points = [plan.ahead(length) for length in _STEER_DISTANCES]
             self._point = next((point for point in points[:-1] if self._free(position, point)), points[-1])
@@ -189,7 +193,7 @@ def _leads_to(plan: GlobalPlan, wanted: PoseTarget | JointTarget) -> bool:
     """Whether a plan has served its purpose: it leads elsewhere, or the target can be followed directly from here."""
     if _apart(wanted, plan.target, _JUMPS):
         return True
-    return plan.left < _ARRIVED and (plan.refusal is not None or _apart(wanted, plan.target, _SAME))
+    return plan.left < _ARRIVED and (plan.refusal is not None or _apart(wanted, plan.target, _UNMOVED_TOLERANCES))
 
 
 def _between(a: Array, b: Array) -> tuple[float, float]:

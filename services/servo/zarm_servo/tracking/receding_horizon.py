@@ -13,7 +13,7 @@ from zarm_trajectory.limits import Limits
 
 INTERVAL = 0.024
 """The jerk is constant over this time (s)."""
-LONGEST = 40
+MAX_INTERVALS = 40
 """Most intervals that are looked ahead: 1 s."""
 _SCALE = 0.001
 """An error of so many rad costs as much in an interval ..."""
@@ -35,7 +35,7 @@ class _Horizon(NamedTuple):
     cost: Array
 
 
-@lru_cache(maxsize=LONGEST)
+@lru_cache(maxsize=MAX_INTERVALS)
 def _horizon(count: int) -> _Horizon:
     index: Array = np.arange(float(count))
     before = np.maximum(index[:, None] - index, 0.0)

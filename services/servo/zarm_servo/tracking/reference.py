@@ -13,9 +13,9 @@ from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
 
-_FINE = 0.004
+_CHECK_INTERVAL = 0.004
 """Interval (s) at which a motion is compared with the limits."""
-_NOTED = 1.001
+_REPORTED_EXCESS = 1.001
 """Less than this factor over a limit is not told."""
 
 
@@ -64,7 +64,7 @@ def smooth(times: Array, positions: Array, velocities: Array | None = None) -> T
 
 def clipped(motion: TimedTrajectory, limits: Limits) -> tuple[Clipped, ...]:
     """By how much a motion asks more of each joint than its limits allow; the robot does as much as it can."""
-    times = np.append(np.arange(motion.begin, motion.duration, _FINE), motion.duration)
+    times = np.append(np.arange(motion.begin, motion.duration, _CHECK_INTERVAL), motion.duration)
     position, velocity, acceleration = motion.sample(times)
     out = np.maximum(position - limits.upper, limits.lower - position).max(axis=0)
     found = [
@@ -80,6 +80,6 @@ def clipped(motion: TimedTrajectory, limits: Limits) -> tuple[Clipped, ...]:
     for quantity, values, limit in asked:
         most = np.abs(values).max(axis=0)
         for joint, value, allowed in zip(limits.joints, most.tolist(), limit.tolist(), strict=True):
-            if value > _NOTED * allowed:
+            if value > _REPORTED_EXCESS * allowed:
                 found.append(Clipped(joint=joint, quantity=quantity, excess=value - allowed))
     return tuple(found)

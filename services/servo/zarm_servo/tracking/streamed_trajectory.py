@@ -12,7 +12,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 REST = 0.5
 """Time at rest (s) that ends a chunk: at its end the stream's time stands still."""
-_APART = 1e-5
+_MIN_INTERVAL = 1e-5
 """Least time (s) between samples."""
 
 
@@ -45,9 +45,9 @@ class StreamedTrajectory:
         """
         start, times = self._begun + self._steps * PERIOD, PERIOD * np.arange(len(self._states))
         knots = self._braking.knots
-        knots = knots[knots > self._braked + _APART]
+        knots = knots[knots > self._braked + _MIN_INTERVAL]
         if len(knots):  # of two close ones the later stays: the last is exactly at rest
-            knots = knots[np.append(np.diff(knots) > _APART, True)]
+            knots = knots[np.append(np.diff(knots) > _MIN_INTERVAL, True)]
         states = np.concatenate((np.stack(self._states, axis=1), self._braking.sample(knots)), axis=1)
         rest = states[:, -1:].copy()
         rest[1:] = 0.0

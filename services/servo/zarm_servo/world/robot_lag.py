@@ -6,7 +6,7 @@ from collections import deque
 
 from zarm_contract.messages import ExecutorState, GoalState
 
-_REMEMBERED = 20
+_REPORTS_KEPT = 20
 """Number of reports of a moving robot remembered: those of some seconds."""
 
 
@@ -17,7 +17,7 @@ class RobotLag:
 
     def __init__(self) -> None:
         self.seconds = 0.0
-        self._reported: deque[float] = deque(maxlen=_REMEMBERED)
+        self._reported: deque[float] = deque(maxlen=_REPORTS_KEPT)
         self._strategy: str | None = None
 
     def on_goal(self, goal: GoalState) -> None:

@@ -13,7 +13,7 @@ from zarm_geometry.allowed_collisions import Pairs
 from zarm_geometry.gripper_openings import openings_of
 from zarm_geometry.robot_model import Openings
 
-REMEMBERED = 4
+SCENES_KEPT = 4
 """Number of past scenes kept, in which a goal may have been verified."""
 EARLY = 2.0
 """How long (s) an object counts before its scene has arrived."""
@@ -116,7 +116,7 @@ class SceneMonitor:
             # A plan may have been made before the cameras saw what they see now.
             self._past[scene.revision] = edited
             self._past.move_to_end(scene.revision)
-            if len(self._past) > REMEMBERED:
+            if len(self._past) > SCENES_KEPT:
                 self._past.popitem(last=False)
         self._changed()
 
