@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool
 
 import zarm
-from support.harness import ServiceProcess, router
+from support.harness import ServiceProcess, eventually, router
 from support.outputs import M1013, with_outputs
 from support.ros.node import destroyed
 from zarm_contract.keys import Keys
@@ -62,3 +63,27 @@ def test_output_is_switched_through_the_service_of_the_robot(node: Node, tmp_pat
             robot.outputs.set("vacuum", True)
         assert robot.outputs.all()["vacuum"].on is False
         assert asked == [True, False, True]
+
+
+def test_a_service_that_was_replaced_is_called_again(node: Node, tmp_path: Path) -> None:
+    descriptor = with_outputs(tmp_path, "{service: /cell/vacuum, driver_timeout: 30}")
+    asked: list[bool] = []
+    with ExitStack() as stack:
+        endpoint = stack.enter_context(router())
+        bus = stack.enter_context(Bus(endpoint))
+        bridge = ServiceProcess("ros_bridge", endpoint, tmp_path, descriptor)
+        for process in (
+            bridge,
+            ServiceProcess("leeloo_sim", endpoint, tmp_path, descriptor, arguments=("--ros",)),
+            ServiceProcess("executor", endpoint, tmp_path, descriptor, arguments=("--strategy", "joint_pose")),
+        ):
+            stack.enter_context(process).wait_ready(bus, KEYS)
+        robot = stack.enter_context(zarm.connect(endpoint))
+        frozen = Node("frozen", context=node.context)  # nobody spins it
+        frozen.create_service(SetBool, "/cell/vacuum", lambda request, response: response)
+        switching = stack.enter_context(ThreadPoolExecutor(1)).submit(robot.outputs.set, "vacuum", True)
+        eventually(lambda: "the service is called again" in bridge.output() or None, "the bridge calls again")
+        frozen.destroy_node()
+        with vacuum(node, asked, works=True):
+            assert switching.result(60).on is True
+        assert set(asked) == {True}

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Generator, Mapping
 
 from zarm.calls import Calls
+from zarm.connection import ANSWER_SECONDS
 from zarm.values import made
+from zarm_contract.digital_output import MAX_DRIVER_TIMEOUT
 from zarm_contract.messages import OutputRequest, OutputState
 
 
@@ -17,7 +19,8 @@ class Outputs(Calls):
 
         Raises InvalidRequest for one that is not there, Busy while it is being switched, and ExecutionFailed if the driver does not confirm it.
         """
-        return self._ask(self._keys.output, made(OutputRequest, output=output, on=on))
+        longest = MAX_DRIVER_TIMEOUT + ANSWER_SECONDS
+        return self._ask(self._keys.output, made(OutputRequest, output=output, on=on), timeout=longest)
 
     def all(self) -> Mapping[str, OutputState]:
         """Each output by name, as it was switched last."""

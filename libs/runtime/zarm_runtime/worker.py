@@ -50,7 +50,8 @@ class Worker:
 
     def _run(self) -> None:
         wait = self._period
-        while self._woken.wait(wait) or not self._ended:
+        while True:
+            self._woken.wait(wait)
             if self._ended:
                 return
             self._woken.clear()

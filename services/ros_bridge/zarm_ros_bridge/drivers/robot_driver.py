@@ -76,7 +76,7 @@ class Drivers:
             if gripper.action is not None and controller is not None
         ]
         self._outputs = [
-            OutputDriver(controller, engine, name, output.service)
+            OutputDriver(controller, engine, name, output.service, output.driver_timeout)
             for name, output in engine.robot.descriptor.outputs.items()
             if output.service is not None and controller is not None
         ]
