@@ -219,12 +219,18 @@ def _serve_scene(
         answer = SceneEdited(revision=scene.revision, count=len(scene.objects))
         revision.set(answer)
         before = {item.name: item for item in shown}
-        for item in scene.objects:
-            if before.pop(item.name, None) != item:
+        changed = [item for item in scene.objects if before.pop(item.name, None) != item]
+        # By itself an object counts in every collision, so one that may be touched comes after the scene that says so.
+        touchable = {*scene.ignored_objects, *(name for pair in scene.ignored_pairs for name in pair)}
+        for item in changed:
+            if item.name not in touchable:
                 single.set(item, key=keys.scene_object(item.name))
         for name in before:
             single.forget(keys.scene_object(name))
         whole.set(scene)
+        for item in changed:
+            if item.name in touchable:
+                single.set(item, key=keys.scene_object(item.name))
         shown = scene.objects
         return answer
 
