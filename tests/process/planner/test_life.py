@@ -34,12 +34,14 @@ from zarm_contract.messages import (
     CancelPlan,
     ClearScene,
     Cylinder,
+    EditBatch,
     Health,
     Nothing,
     Plan,
     PlanRequest,
     Scene,
     SceneEdit,
+    SetPairCollision,
     WaypointsGoal,
 )
 from zarm_runtime.bus import Bus
@@ -174,6 +176,20 @@ def test_the_scene_is_published_whole_and_by_object(planner: Bus, foreign: zenoh
     assert str(post.encoding).endswith("zarm.Cylinder.v4")
     planner.call(KEYS.scene_edit, SceneEdit(edit=ClearScene(op="clear")), timeout=PATIENCE)
     assert list(foreign.get(KEYS.scene_object("*"), timeout=PATIENCE)) == []
+
+
+def test_an_object_that_may_be_touched_comes_after_its_scene(planner: Bus, foreign: zenoh.Session) -> None:
+    """By itself it counts in every collision, and a robot that may touch it would be held."""
+    load(planner)
+    keys: list[str] = []
+    with foreign.declare_subscriber(f"{KEYS.scene}/**", lambda sample: keys.append(str(sample.key_expr))):
+        touched = SetPairCollision(op="pairs", names=(("link_6", "shelf"),), enabled=False)
+        batch = EditBatch(op="batch", edits=(AddObjects(op="add", objects=(SHELF, POST)), touched))
+        planner.call(KEYS.scene_edit, SceneEdit(edit=batch), timeout=PATIENCE)
+        expected = [KEYS.scene_object("post"), KEYS.scene, KEYS.scene_object("shelf")]
+        eventually(
+            lambda: [key for key in keys if key in expected] == expected, "all three are published, in this order"
+        )
 
 
 def test_a_plan_states_the_scene_revision_it_was_made_in(planner: Bus) -> None:
