@@ -11,7 +11,7 @@ from functools import partial
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
-from zarm_contract.messages import DriverOutputCommand, DriverOutputState
+from zarm_contract.messages import DriverOutputCommand, DriverOutputState, OutputState
 from zarm_ros_bridge.answers import shortened
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.ros import Ros
@@ -27,8 +27,8 @@ _RETRY = 1.0
 class OutputDriver:
     """Passes the commands to the output `name` on to `service`, and reports what becomes of the newest.
 
-    `ros` has one thread, in which all of this happens, as in `ControllerAction`. For `timeout` s a service without answer is called again and again: switching on
-    twice is the same as once.
+    `ros` has one thread, in which all of this happens, as in `ControllerAction`. For `timeout` s a service without answer is called again and again, switching on
+    twice being the same as once, but no longer than the executor waits: what it has given up must not be switched later.
     """
 
     def __init__(self, ros: Ros, engine: Engine, name: str, service: str, timeout: float) -> None:
@@ -37,11 +37,18 @@ class OutputDriver:
         self._states = engine.bus.publisher(engine.keys.driver_output_state)
         self._newest = 0
         self._calls: list[Future] = []
+        self._awaited = False
         engine.bus.subscribe(engine.keys.driver_output_command, self._receive)
+        engine.bus.watch(engine.keys.output_state(name), self._on_state)
 
     def _receive(self, _: str, command: DriverOutputCommand) -> None:
         if command.output == self._name:
+            self._awaited = True
             self._run(partial(self._send, command, time.monotonic() + self._timeout))
+
+    def _on_state(self, _: str, state: OutputState) -> None:
+        if state.problem is not None:
+            self._awaited = False
 
     def _send(self, command: DriverOutputCommand, until: float, waited: float = 0.0) -> None:
         if waited and command.sequence != self._newest:
@@ -65,7 +72,7 @@ class OutputDriver:
         timer.start()
 
     def _repeat(self, command: DriverOutputCommand, until: float) -> None:
-        if self._calls and command.sequence == self._newest and time.monotonic() < until:
+        if self._calls and self._awaited and command.sequence == self._newest and time.monotonic() < until:
             log.info(
                 "the service is called again, as it has not answered output=%s service=%s", self._name, self._service
             )
