@@ -7,8 +7,7 @@ from collections.abc import Generator, Mapping
 from zarm.calls import Calls
 from zarm.connection import ANSWER_SECONDS
 from zarm.values import made
-from zarm_contract.digital_output import MAX_DRIVER_TIMEOUT
-from zarm_contract.messages import OutputRequest, OutputState
+from zarm_contract.messages import MAX_OUTPUT_TIMEOUT, OutputRequest, OutputState
 
 
 class Outputs(Calls):
@@ -19,7 +18,7 @@ class Outputs(Calls):
 
         Raises InvalidRequest for one that is not there, Busy while it is being switched, and ExecutionFailed if the driver does not confirm it.
         """
-        longest = MAX_DRIVER_TIMEOUT + ANSWER_SECONDS
+        longest = MAX_OUTPUT_TIMEOUT + ANSWER_SECONDS
         return self._ask(self._keys.output, made(OutputRequest, output=output, on=on), timeout=longest)
 
     def all(self) -> Mapping[str, OutputState]:

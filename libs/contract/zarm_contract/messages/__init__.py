@@ -73,6 +73,7 @@ from zarm_contract.messages.motion import (
     Vector3,
 )
 from zarm_contract.messages.output import (
+    MAX_OUTPUT_TIMEOUT,
     DriverOutputCommand,
     DriverOutputState,
     OutputRequest,
@@ -213,6 +214,7 @@ __all__ = [
     "MAX_CELLS",
     "MAX_INDEX",
     "MAX_OBJECTS",
+    "MAX_OUTPUT_TIMEOUT",
     "MAX_PAIRED",
     "MAX_POINTS",
     "MAX_TOOL_SHAPES",

@@ -10,6 +10,9 @@ from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
 from zarm_contract.messages.motion import Name, SequenceNumber
 
+MAX_OUTPUT_TIMEOUT = 30.0
+"""The longest that a descriptor may let a driver take to switch an output (s)."""
+
 
 class OutputRequest(ShortMessage):
     """Switch `output` `on` or off. The answer comes when its driver has done so."""
