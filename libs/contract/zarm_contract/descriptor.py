@@ -48,16 +48,16 @@ FaultPolicy = Literal["latch", "clear_at_rest"]
 
 
 class StatedJointDynamics(Section):
-    """What the joints need beside the links, in the order of `joints`, as `zarm identify` finds it. That of the URDF (`dynamics`) is not read: it mostly
-    makes simulations stable.
+    """Friction, damping and armature of the joints, in the order of `joints`, as `zarm identify` finds them. The values of the URDF (`dynamics`) are not read:
+    they mostly make simulations stable.
     """
 
     friction: Annotated[tuple[NonNegative, ...], Field(min_length=1, max_length=64)]
-    """Dry friction, of a joint that moves, however slowly (Nm; N if prismatic)."""
+    """Coulomb friction (Nm; N if prismatic)."""
     damping: Annotated[tuple[NonNegative, ...], Field(min_length=1, max_length=64)]
-    """What comes to that at 1 rad/s (Nm; N at 1 m/s if prismatic)."""
+    """Viscous friction (Nm s/rad; N s/m if prismatic)."""
     armature: Annotated[tuple[NonNegative, ...], Field(min_length=1, max_length=64)]
-    """The inertia of the motors, seen through the gears (kg m²; kg if prismatic)."""
+    """Inertia of the motors, reflected through the gears (kg m²; kg if prismatic)."""
 
 
 class ExecutionSettings(Section):

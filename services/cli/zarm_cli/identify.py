@@ -16,7 +16,7 @@ MIN_LIMIT = 0.5
 
 
 def identify(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
-    """Identify the joints from their motions: friction, inertia of the motors, and limits to detect collisions by."""
+    """Identify friction and motor inertia of the joints from their motions, and limits for collision detection."""
     with connected(connect, name) as robot:
         found = robot.joint_dynamics()
     if as_json:

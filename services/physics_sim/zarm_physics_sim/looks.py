@@ -14,7 +14,7 @@ from zarm_trajectory.arrays import Array
 
 log = logging.getLogger(__name__)
 
-_LARGEST = 200_000
+_MAX_TRIANGLES = 200_000
 """Most triangles of a link that are rendered."""
 
 
@@ -28,8 +28,10 @@ def looks_of(urdf: Path) -> Mapping[str, Array]:
         except (ValueError, OSError) as error:
             log.warning("visual mesh not rendered link=%s reason=%s", link, error)
             continue
-        if 0 < len(triangles) <= _LARGEST:
+        if 0 < len(triangles) <= _MAX_TRIANGLES:
             looks[link] = triangles
         else:
-            log.warning("visual mesh not rendered link=%s triangles=%d largest=%d", link, len(triangles), _LARGEST)
+            log.warning(
+                "visual mesh not rendered link=%s triangles=%d largest=%d", link, len(triangles), _MAX_TRIANGLES
+            )
     return looks

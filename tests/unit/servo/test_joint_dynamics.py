@@ -70,7 +70,9 @@ def test_a_joint_that_stands_still_needs_nothing() -> None:
 
 
 def test_too_few_states_are_refused_with_the_remedy() -> None:
-    with pytest.raises(Unavailable, match=f"it takes {MIN_STATES}; let the robot make the motions of its work"):
+    with pytest.raises(
+        Unavailable, match=f"at least {MIN_STATES} are needed; let the robot make the motions of its work"
+    ):
         identified(10).found()
 
 

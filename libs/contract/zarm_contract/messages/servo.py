@@ -248,8 +248,8 @@ class ExternalTorque(ShortMessage):
 
 
 class JointDynamics(Message):
-    """What the joints need beside the links, identified from measured efforts: dry `friction` (Nm; N if prismatic), `damping` (Nm s/rad; N s/m) and
-    `armature`, the inertia of the motors seen through the gears (kg m²; kg). It comes from `states` joint states of motions, the last five minutes
+    """The dynamics of the joints, identified from measured efforts: Coulomb `friction` (Nm; N if prismatic), `damping` (Nm s/rad; N s/m) and
+    `armature`, the inertia of the motors reflected through the gears (kg m²; kg). It comes from `states` joint states of motions, the last five minutes
     at 100 Hz. With it, each joint differed by at most `largest` (Nm; N) from what its motion needed.
     """
 

@@ -113,11 +113,11 @@ class CollisionDetection:
         """The joint dynamics in the motions so far. Raises Unavailable if there were too few, or without efforts or inertia."""
         if self._dynamics is None:
             raise Unavailable(
-                "the URDF does not state the inertia of each link, which it takes to identify joints; add it"
+                "the URDF does not state the inertia of each link, without which friction cannot be identified; add it"
             )
         if not self._measured:
             raise Unavailable(
-                "the driver reports no efforts, which it takes to identify joints; configure it to report torques"
+                "the driver reports no efforts, without which friction cannot be identified; configure it to report torques"
             )
         return self.identification.found()
 

@@ -1,4 +1,4 @@
-"""What the joints need beside the links: friction, and the inertia of their motors."""
+"""The dynamics of the joints: friction, damping, and the reflected inertia of their motors."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from zarm_contract.messages import JointDynamics as JointDynamicsMessage
 from zarm_trajectory.arrays import Array, Single
 
 _SLIDING_VELOCITY = 0.05
-"""A joint slower than this (rad/s, m/s) may be about to turn round, or stick: how much of its friction acts, and in which direction, is not sure."""
+"""Below this velocity (rad/s, m/s) a joint may stick or reverse, so the sign and size of its friction are uncertain."""
 STATES_KEPT = 30_000
-"""Joint states from which the joints are identified: five minutes at 100 Hz."""
+"""Number of joint states that are fitted: five minutes at 100 Hz."""
 MIN_STATES = 1_000
-"""From fewer they are not identified."""
+"""Least number of joint states to fit."""
 
 
 class Moving(NamedTuple):
-    """How joints move over some joint states: their `direction` (J,), from -1 to 1, the share of the friction that is `sure` (J,), their `velocity` (J,) and
+    """The motion of joints over a few joint states: `direction` (J,) from -1 to 1, `sure` (J,), the share of the friction whose sign is certain, `velocity` (J,) and
     `acceleration` (J,); or many of each, (n, J).
     """
 
@@ -42,7 +42,7 @@ class Moving(NamedTuple):
 
 
 class JointDynamics(NamedTuple):
-    """Dry `friction` (J,) in Nm, `damping` (J,) in Nm s/rad, and `armature` (J,) in kg m²; N, N s/m and kg if prismatic."""
+    """Coulomb `friction` (J,) in Nm, `damping` (J,) in Nm s/rad, and `armature` (J,) in kg m²; N, N s/m and kg if prismatic."""
 
     friction: Array
     damping: Array
@@ -57,7 +57,8 @@ class JointDynamics(NamedTuple):
         return cls(np.array(stated.friction), np.array(stated.damping), np.array(stated.armature))
 
     def unexplained(self, excess: Array, moving: Moving) -> Array:
-        """What remains (J,) of an `excess` (J,) of the efforts over what the links need: the least that it can be, whatever part of the friction acts."""
+        """The part (J,) of `excess` (J,), measured effort less the inverse dynamics of the links, that the joints do not explain: the smallest for any sign of
+        the uncertain friction."""
         needed = self.friction * moving.direction + self.damping * moving.velocity + self.armature * moving.acceleration
         rest, unsure = excess - needed, self.friction * (1.0 - moving.sure)
         remaining: Array = rest - np.clip(rest, -unsure, unsure)
@@ -65,7 +66,7 @@ class JointDynamics(NamedTuple):
 
 
 class Identification:
-    """Finds the joint dynamics that explain best, by least squares, what the efforts exceed the needs of the links by. It keeps the last `STATES_KEPT` states."""
+    """Fits the joint dynamics to the last `STATES_KEPT` joint states by least squares, none of them negative."""
 
     def __init__(self, joints: tuple[str, ...]) -> None:
         self._joints = joints
@@ -73,16 +74,16 @@ class Identification:
         self._count = 0
 
     def add(self, moving: Moving, excess: Array) -> None:
-        """Take a state of a motion, and what the efforts (J,) exceed the needs of the links by."""
+        """Add a state of a motion; `excess` (J,) is the measured effort less the inverse dynamics of the links."""
         self._states[self._count % STATES_KEPT] = *moving, excess
         self._count += 1
 
     def found(self) -> JointDynamicsMessage:
-        """The joint dynamics in the states so far. Raises Unavailable for too few."""
+        """The joint dynamics fitted to the states so far. Raises Unavailable for too few."""
         states = self._states[: min(self._count, STATES_KEPT)].astype(float)
         if len(states) < MIN_STATES:
             raise Unavailable(
-                f"{len(states)} joint states of motions are too few to identify the joints, it takes {MIN_STATES}; let the robot make the motions of its work"
+                f"{len(states)} joint states of motions are too few to identify friction, at least {MIN_STATES} are needed; let the robot make the motions of its work"
             )
         moving, excess = Moving(*(states[:, k] for k in range(4))), states[:, 4]
         terms = np.stack((moving.direction, moving.velocity, moving.acceleration), axis=-1)
@@ -100,7 +101,7 @@ class Identification:
 
 
 def _fitted(terms: Array, torque: Array) -> Array:
-    """The factors (3,) of the terms (n, 3), none of them negative, that explain a torque (n,) best."""
+    """The factors (3,) of the terms (n, 3), none of them negative, that fit a torque (n,) best."""
     kept = np.ones(3, dtype=bool)
     while True:
         factors = np.zeros(3)
