@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -32,7 +33,14 @@ class Cell:
     """A robot with mass, its planner and executor, a client, and the truth."""
 
     def __init__(
-        self, stack: ExitStack, folder: Path, robot: str, *physics: str, strategy: str, with_servo: bool
+        self,
+        stack: ExitStack,
+        folder: Path,
+        robot: str,
+        *physics: str,
+        strategy: str,
+        with_servo: bool,
+        speed: dict[str, str],
     ) -> None:
         self.endpoint = stack.enter_context(router())
         self.bus = stack.enter_context(Bus(self.endpoint))
@@ -43,7 +51,10 @@ class Cell:
         if with_servo:
             started["servo"] = ()
         for service, arguments in started.items():
-            process = ServiceProcess(service, self.endpoint, folder, robot, arguments=arguments)
+            environment = {"ZARM_SPEED": speed[service]} if service in speed else {}
+            process = ServiceProcess(
+                service, self.endpoint, folder, robot, arguments=arguments, environment=environment
+            )
             stack.enter_context(process).wait_ready(self.bus, self.keys)
         self.robot = stack.enter_context(zarm.connect(self.endpoint))
 
@@ -64,10 +75,16 @@ class Cell:
 
 @contextmanager
 def cell_of(
-    folder: Path, robot: str, *physics: str, strategy: str = "joint_trajectory", with_servo: bool = False
+    folder: Path,
+    robot: str,
+    *physics: str,
+    strategy: str = "joint_trajectory",
+    with_servo: bool = False,
+    speed: dict[str, str] | None = None,
 ) -> Iterator[Cell]:
+    """`speed` is that of some of the services."""
     with ExitStack() as stack:
-        yield Cell(stack, folder, robot, *physics, strategy=strategy, with_servo=with_servo)
+        yield Cell(stack, folder, robot, *physics, strategy=strategy, with_servo=with_servo, speed=speed or {})
 
 
 @pytest.mark.parametrize("strategy", ["joint_speed", "joint_pose", "joint_trajectory"])
@@ -217,3 +234,26 @@ def test_a_density_that_is_none_is_refused(endpoint: str, tmp_path: Path) -> Non
     with ServiceProcess("physics_sim", endpoint, tmp_path, "ur5e", arguments=("--density", "-5")) as process:
         assert process.process.wait(60) != 0
         assert "-5 kg/m³ is no density; give a positive one" in process.output()
+
+
+def test_a_cell_runs_faster_than_real_time(tmp_path: Path) -> None:
+    speed = dict.fromkeys(("physics_sim", "planner", "executor", "servo"), "4")
+    with cell_of(tmp_path, "ur5e", with_servo=True, speed=speed) as cell:
+        goal = (0.5, -1.57, 1.57, -1.57, -1.57, 0.0)
+        plan = cell.robot.plan(goal)
+        began, real = cell.now().time, time.monotonic()
+        cell.robot.execute(plan)
+        state, passed = cell.now(), time.monotonic() - real
+        assert state.position == pytest.approx(goal, abs=0.01)
+        assert state.time - began > plan.trajectory.time[-1], "the whole motion was simulated"
+        assert state.time - began > 1.5 * passed
+        assert state.real_time_factor > 1.5
+
+
+def test_a_real_driver_is_never_moved_faster_than_real_time(tmp_path: Path) -> None:
+    """An executor that runs faster does not take the joints of a driver in real time for its robot's."""
+    with (
+        pytest.raises(AssertionError, match="only a simulated robot with the same speed can be moved"),
+        cell_of(tmp_path, "ur5e", speed={"executor": "4"}) as cell,
+    ):
+        cell.robot.execute(cell.robot.plan((0.5, -1.57, 1.57, -1.57, -1.57, 0.0)))

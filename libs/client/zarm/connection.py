@@ -16,6 +16,7 @@ from zarm_contract.key import Latched, Published, Query
 from zarm_contract.keys import ALL_ALIVE, Keys
 from zarm_contract.messages import Message
 from zarm_contract.roles import Role
+from zarm_runtime import clock
 from zarm_runtime.bus import Bus, Publisher
 from zarm_runtime.session import DEFAULT_ENDPOINT
 
@@ -109,6 +110,7 @@ def opened(endpoint: str | None, role: Role | None = None, timeout: float = CONN
     """A session with the router at `endpoint` (default: $ZARM_CONNECT, else this machine's). Raises Unavailable, and
     InvalidRequest for an invalid endpoint.
     """
+    clock.read_speed()
     return Bus(endpoint or os.environ.get("ZARM_CONNECT") or DEFAULT_ENDPOINT, timeout=timeout, role=role)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +27,7 @@ from zarm_contract.messages import (
     SceneObject,
 )
 from zarm_contract.messages import Scene as SceneMessage
+from zarm_runtime import clock
 
 if TYPE_CHECKING:
     from zarm.values import Numbers, Pose
@@ -127,7 +127,7 @@ class Scene:
         pose the object counts as lost. `servo/state` reports that, and why a pose was refused.
         """
         fields = {
-            "stamp": time.time() if stamp is None else stamp,
+            "stamp": clock.unix_time() if stamp is None else stamp,
             "position": pose.position,
             "orientation": pose.orientation,
             "linear": (0.0,) * 3 if velocity is None else numbers(velocity, "velocity"),

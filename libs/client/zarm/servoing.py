@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Literal, cast
 
@@ -30,6 +29,7 @@ from zarm_contract.messages import (
     TwistTarget,
     Vector3,
 )
+from zarm_runtime import clock
 
 if TYPE_CHECKING:
     from zarm.values import Numbers, Rows
@@ -83,7 +83,7 @@ class _Session:
         self._demand_running()
         self._sequence += 1
         try:
-            target = ServoTarget(goal_id=self.goal_id, sequence=self._sequence, stamp=time.monotonic(), target=make())
+            target = ServoTarget(goal_id=self.goal_id, sequence=self._sequence, stamp=clock.monotonic(), target=make())
         except ValidationError as error:
             raise invalid("the target", error) from None
         self._publisher.put(target)
@@ -157,11 +157,11 @@ class Tracking(_Session):
         `on_progress` receives the session's states. Raises DeadlineExceeded, which names the obstacle, if the target is
         not reached within `timeout` s.
         """
-        deadline, before = time.monotonic() + timeout, self._state
+        deadline, before = clock.monotonic() + timeout, self._state
         first = self._sequence + 1
-        while time.monotonic() < deadline:
+        while clock.monotonic() < deadline:
             self.to(goal, group=group)
-            self._connection.interrupts.run_interruptibly(lambda: time.sleep(PERIOD))
+            self._connection.interrupts.run_interruptibly(lambda: clock.sleep(PERIOD))
             state = self._state
             if state is None or state is before or state.sequence < first:
                 continue
@@ -201,7 +201,7 @@ class ChunkTracking(_Session):
         chunk that is refused: the robot brakes when the one before has ended. Raises as `Tracking.to` does.
         """
         self._demand_running()
-        stamp = time.time()
+        stamp = clock.unix_time()
         self._sequence += 1
         try:
             of: JointPoints | PosePoints

@@ -11,6 +11,7 @@ from zarm.connection import ANSWER_SECONDS, Connection
 from zarm.values import invalid
 from zarm_contract.errors import Unavailable, from_problem
 from zarm_contract.messages import GoalState, StreamChunk, Trajectory
+from zarm_runtime import clock
 
 _LOOK_SECONDS = 0.005
 
@@ -32,7 +33,7 @@ class Stream:
     @property
     def time(self) -> float:
         """s since the first trajectory was sent; 0 before."""
-        return time.monotonic() - self._began if self._newest is not None else 0.0
+        return clock.monotonic() - self._began if self._newest is not None else 0.0
 
     @property
     def state(self) -> GoalState | None:
@@ -66,7 +67,7 @@ class Stream:
         except ValidationError as error:
             raise invalid("the chunk", error) from None
         if before is None:
-            self._began = time.monotonic()
+            self._began = clock.monotonic()
         self._newest = chunk
         self._publisher.put(chunk)
 

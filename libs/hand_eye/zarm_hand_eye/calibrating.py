@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -16,6 +15,7 @@ from zarm_geometry.frames import matrix, pose_of
 from zarm_hand_eye.board import Board, View
 from zarm_hand_eye.solving import Solution, solve
 from zarm_hand_eye.viewpoints import viewpoints
+from zarm_runtime import clock
 from zarm_trajectory.arrays import Array
 
 MIN_VIEWS = 5
@@ -144,7 +144,7 @@ class _Cell:
 
     def look(self) -> bool:
         """Look at the board with the robot at rest; whether it is seen."""
-        image = self.robot.perception.color(self.camera.name, after=time.time() + _SETTLE)
+        image = self.robot.perception.color(self.camera.name, after=clock.unix_time() + _SETTLE)
         link = self.robot.fk([self.robot.joint_state().position], tip=self.link)[0]
         view = self.board.find(image, self.intrinsics)
         if view is not None:

@@ -20,6 +20,7 @@ from zarm_mcp.agent import Agent, Json, pose, said
 from zarm_mcp.approval import Approvals
 from zarm_mcp.picture import picture
 from zarm_mcp.policy import Policy
+from zarm_runtime import clock
 
 _MINUTE = 60.0
 _LONGEST_TEXT = 2000
@@ -76,7 +77,7 @@ class Gate:
         finally:
             self._record.put(
                 AgentCall(
-                    stamp=time.time(),
+                    stamp=clock.unix_time(),
                     tool=tool,
                     arguments=json.dumps(arguments, default=str)[:_LONGEST_TEXT],
                     outcome=outcome[:_LONGEST_TEXT],

@@ -21,6 +21,7 @@ from zarm_contract.key import Latched, Published, Query, Token
 from zarm_contract.keys import ALL_CLIENTS, client_token, parse_alive
 from zarm_contract.messages import Message, Requester
 from zarm_contract.roles import Role
+from zarm_runtime import clock
 from zarm_runtime.arrivals import Arrivals
 from zarm_runtime.following import Following
 from zarm_runtime.publications import (
@@ -263,7 +264,7 @@ class Bus:
         """Like `subscribe`, but the callback is also given the time of arrival (s, monotonic), before decoding."""
 
         def receive(name: str, payload: bytes) -> None:
-            arrived = time.monotonic()
+            arrived = clock.monotonic()
             deliver(name, payload, key.model, lambda _, message: callback(message, arrived))
 
         self.listen(key, receive)

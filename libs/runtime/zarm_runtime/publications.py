@@ -15,6 +15,7 @@ from zarm_contract.codec import CONTRACT, decode, encode, other_contract, schema
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.key import Published
 from zarm_contract.messages import Message
+from zarm_runtime import clock
 
 log = logging.getLogger(__name__)
 
@@ -148,7 +149,7 @@ class Latest(Generic[M]):
         An unreadable one is logged and dropped.
         """
         newest = self._newest
-        if newest is None or (max_age is not None and time.monotonic() - newest[1] > max_age):
+        if newest is None or (max_age is not None and clock.monotonic() - newest[1] > max_age):
             return None
         return self._read(newest)
 
@@ -196,7 +197,7 @@ class Latest(Generic[M]):
             return
         payload = sample.payload.to_bytes()
         with self._changed:
-            self._newest = (payload, time.monotonic())
+            self._newest = (payload, clock.monotonic())
             self._changed.notify_all()
         self._observe(str(sample.key_expr), payload)
 

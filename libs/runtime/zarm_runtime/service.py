@@ -21,7 +21,7 @@ from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, Nothing
 from zarm_contract.robot import RobotDescription, load_robot
 from zarm_contract.roles import SERVICE_ROLES, Role
-from zarm_runtime import signals
+from zarm_runtime import clock, signals
 from zarm_runtime.bus import Bus
 from zarm_runtime.logs import name_robot, setup_logging
 from zarm_runtime.metrics import Metrics, serve_metrics
@@ -219,6 +219,7 @@ def run_service(
     signal.pthread_sigmask(signal.SIG_UNBLOCK, signals.ENDING)
     build_all()
     try:
+        clock.read_speed()
         robots = _robots(options)
         name_robot(",".join(keys.robot for _, keys in robots))
         if security_on() and role is not None:

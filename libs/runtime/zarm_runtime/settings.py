@@ -52,6 +52,12 @@ SETTINGS = (
     Setting(
         "ZARM_METRICS", "off", "The `host:port` at which Prometheus reads the metrics of the service.", "--metrics"
     ),
+    Setting(
+        "ZARM_SPEED",
+        "1",
+        "How many times as fast as real time a simulated robot and all programs around it run, 1 to 20.",
+        "--speed",
+    ),
     Setting("ZARM_LOG", "`INFO`", "The log level: `DEBUG`, `INFO`, `WARNING` or `ERROR`."),
     Setting("ZARM_LOG_FORMAT", "`text`", "`json`: every line of the log is a JSON object."),
     Setting("ZARM_COLOUR", "off", "`1`: colour the name of the service in the log."),

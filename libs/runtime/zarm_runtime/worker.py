@@ -8,6 +8,8 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
+from zarm_runtime import clock
+
 log = logging.getLogger(__name__)
 
 
@@ -51,7 +53,7 @@ class Worker:
     def _run(self) -> None:
         wait = self._period
         while True:
-            self._woken.wait(wait)
+            self._woken.wait(None if wait is None else clock.real_seconds(wait))
             if self._ended:
                 return
             self._woken.clear()

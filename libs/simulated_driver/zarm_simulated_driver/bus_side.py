@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable
 
 import numpy as np
 
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
+from zarm_runtime import clock
 from zarm_runtime.bus import Bus
 from zarm_runtime.expiry import Expiry
 from zarm_simulated_driver.axes import Axes
@@ -51,8 +51,8 @@ class BusSide:
 
     def publish_joints(self, position: Array, velocity: Array, effort: Array | None) -> None:
         """Publish the joint positions (J,) rad, velocities (J,) rad/s and efforts (J,) Nm, if known."""
-        axes, stamp = self._axes, time.time()
-        self._expiry.report(stamp, time.monotonic())
+        axes, stamp = self._axes, clock.unix_time()
+        self._expiry.report(stamp, clock.monotonic())
         self._joints.put(
             JointState(
                 stamp=stamp,

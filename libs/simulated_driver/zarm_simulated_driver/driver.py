@@ -6,7 +6,6 @@ import logging
 import os
 import random
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from zarm_contract.messages import (
     Nothing,
     Vector3,
 )
+from zarm_runtime import clock
 from zarm_simulated_driver.player import STEP
 from zarm_trajectory.arrays import Array
 
@@ -145,7 +145,7 @@ class SimulatedDriver:
         """Play this from the next tick on, or later if a fault delays it."""
         with self._lock:
             if self._random.random() >= self._fault.drop:
-                self._waiting.append((time.monotonic() + self._fault.delay, command))
+                self._waiting.append((clock.monotonic() + self._fault.delay, command))
 
     def grip(self, command: DriverGripperCommand) -> None:
         """Move a gripper."""
@@ -177,11 +177,11 @@ class SimulatedDriver:
 
     def run(self, ended: threading.Event) -> None:
         """Simulate in step with the monotonic clock until `ended`."""
-        deadline = time.monotonic()
+        deadline = clock.monotonic()
         while not ended.is_set():
-            time.sleep(max(0.0, deadline - time.monotonic()))
-            if time.monotonic() - deadline > LONGEST_PAUSE:
-                deadline = time.monotonic()
+            clock.sleep(max(0.0, deadline - clock.monotonic()))
+            if clock.monotonic() - deadline > LONGEST_PAUSE:
+                deadline = clock.monotonic()
             self._step(deadline)
             deadline += STEP
 

@@ -27,6 +27,7 @@ from zarm_contract.keys import Keys
 from zarm_contract.messages import Health
 from zarm_contract.robot import RobotDescription, find_robot, load_robot
 from zarm_runtime.bus import Bus
+from zarm_runtime.clock import MAX_SPEED
 from zarm_runtime.dds import RANGE, REACH
 from zarm_runtime.service import default_state
 from zarm_runtime.session import DEFAULT_ENDPOINT, open_router, resolved_endpoint
@@ -107,15 +108,18 @@ def launch(
     metrics: str | None = None,
     log_level: str | None = None,
     view: str | None = None,
+    speed: float = 1.0,
 ) -> Iterator[Stack]:
     """Start the services of one robot, with a router of their own at `listen` or using the one at `connect`; at `view`,
     `HOST:PORT`, also the page; with `moveit`, the planning group of MoveIt's clients, also the bridge.
 
-    `physics` are arguments for the physical driver, `perception`, if it is to run, for that. Leaving stops them in order. Raises InvalidRequest for an invalid descriptor or name and for a robot already running
+    `physics` are arguments for the physical driver, `perception`, if it is to run, for that. All run `speed` times as fast as real time. Leaving stops them in order. Raises InvalidRequest for an invalid descriptor or name and for a robot already running
     on that bus, Unavailable if the port is taken, no router answers, or packages are missing.
     """
     _require("the planner cannot run", _PLANNER_PACKAGES, "`pip install 'zarm[planner]'` installs what is needed")
     ros = ros or moveit is not None
+    if ros and speed != 1.0:
+        raise InvalidRequest("ROS 2 runs in real time; leave out --ros and --moveit, or --speed", field="--speed")
     if ros:
         _require(
             "ROS 2 cannot be bridged to",
@@ -154,7 +158,7 @@ def launch(
     if view is not None:
         page = ["--robot", f"{keys.robot}={find_robot(robot)}", "--connect", endpoint, "--listen", view, *folders]
         programs["viewer"] = (VIEWER, [*page, "--state", str(state)])
-    environment = {"ZARM_METRICS": ""}  # an address can be used only once
+    environment = {"ZARM_METRICS": "", "ZARM_SPEED": f"{speed:g}"}  # an address can be used only once
     if ros and not any(map(os.environ.get, REACH)):
         environment[RANGE] = "LOCALHOST"  # anyone who reaches DDS can move the robot
     if sys.stderr.isatty():
@@ -290,6 +294,16 @@ def up(
             metavar="FOLDER", help="A folder whose mesh files the scene may use, besides those in $ZARM_MESHES."
         ),
     ] = None,
+    speed: Annotated[
+        float,
+        typer.Option(
+            envvar="ZARM_SPEED",
+            min=1.0,
+            max=MAX_SPEED,
+            metavar="N",
+            help="Simulate N times as fast as real time, 1 to 20: for robots without hardware.",
+        ),
+    ] = 1.0,
     view: Annotated[bool, typer.Option("--view", help="Also serve the browser page.")] = False,
     view_at: Annotated[
         str, typer.Option(envvar="ZARM_VIEW", metavar="HOST:PORT", help="Where the page is served.")
@@ -325,10 +339,11 @@ def up(
             meshes=meshes or (),
             metrics=metrics,
             view=view_at if view else None,
+            speed=speed,
         ) as stack,
     ):
         stack.wait_ready(lambda _: None)  # the services' own log lines report it
-        _say_ready(stack, joined=connect is not None)
+        _say_ready(stack, joined=connect is not None, speed=speed)
         stack.wait()
 
 
@@ -357,7 +372,7 @@ def _typed(context: typer.Context, name: str) -> bool:
     return source is not None and source.name == "COMMANDLINE"
 
 
-def _say_ready(stack: Stack, *, joined: bool) -> None:
+def _say_ready(stack: Stack, *, joined: bool, speed: float) -> None:
     client = stack.client
     first, *rest = stack.robot.descriptor.home
     endpoint = client.connection.bus.endpoint
@@ -369,6 +384,13 @@ def _say_ready(stack: Stack, *, joined: bool) -> None:
             ("robot", client.name),
             ("endpoint", endpoint),
             ("strategy", client.strategy().active),
+            *(
+                []
+                if speed == 1.0
+                else [
+                    ("speed", f"{speed:g} times real time; programs that stream or publish need ZARM_SPEED={speed:g}")
+                ]
+            ),
         )
     )
     move = numbers([first + 0.5, *rest]).replace(" ", "")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from zarm_executor.goal import Goal
 from zarm_executor.machine import Machine
 from zarm_executor.reporter import Reporter
 from zarm_executor.strategies.base import Measured
+from zarm_runtime import clock
 
 REST_PATIENCE = 10.0
 """Longest wait (s) for a moving robot to come to rest; it needs roughly its velocity limit divided by its acceleration
@@ -62,7 +62,7 @@ class Admission:
 
     def demand_presence(self) -> None:
         """Raises Busy if a request arriving now may be old, and given up by its client since."""
-        if self._machine.was_away(time.monotonic()):
+        if self._machine.was_away(clock.monotonic()):
             raise Busy("the executor stood still for so long that the client may have given up; try again in a moment")
 
     def joint_state(self) -> Measured | None:
@@ -70,7 +70,7 @@ class Admission:
         `joint_state_timeout`.
         """
         timeout = self._joint_state_timeout
-        return self._machine.wait_for_joint_state(time.monotonic() - timeout, timeout)
+        return self._machine.wait_for_joint_state(clock.monotonic() - timeout, timeout)
 
     @contextmanager
     def turn(self, arrival: int, *, preempt: bool = False) -> Iterator[Turn]:

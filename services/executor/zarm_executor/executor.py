@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import secrets
 import threading
-import time
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -39,6 +38,7 @@ from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
 from zarm_executor.scene import PresentScene
 from zarm_executor.strategies.registry import StrategyRegistry
+from zarm_runtime import clock
 from zarm_runtime.bus import Publisher
 from zarm_runtime.state_file import StateFile
 from zarm_trajectory.rate_bounds import RateBounds, RateLimits
@@ -96,7 +96,7 @@ class Executor:
                 scene = self._present.demand(
                     chosen.name, chosen.scene_revision
                 )  # the robot may have taken a while to come to rest
-            trajectory = startable(trajectory, self._admission.joint_state(), time.monotonic(), self._robot)
+            trajectory = startable(trajectory, self._admission.joint_state(), clock.monotonic(), self._robot)
             monitor = Monitor(trajectory, self._robot.descriptor)
             goal = Goal(
                 goal_id,
@@ -162,7 +162,7 @@ class Executor:
         start: float | Monitor
         if request.at is None:
             trajectory = executable(request.trajectory, self._robot)
-            trajectory = startable(trajectory, self._admission.joint_state(), time.monotonic(), self._robot)
+            trajectory = startable(trajectory, self._admission.joint_state(), clock.monotonic(), self._robot)
             start = Monitor(trajectory, self._robot.descriptor)
         else:
             trajectory = continuation(request.trajectory, self._robot, np.zeros(len(self._robot.descriptor.joints)))

@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 
 from zarm_contract.errors import ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.messages import JointState, Plan
 from zarm_contract.robot import RobotDescription
 from zarm_executor.checks import executable
+from zarm_runtime import clock
 from zarm_runtime.bus import Bus
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -66,13 +66,13 @@ class Ghost:
             position, velocity, _ = trajectory.at(now - self._began)
             self._joint_states.put(
                 JointState(
-                    stamp=time.time(),
+                    stamp=clock.unix_time(),
                     joint_names=self._joints,
                     position=tuple(position.tolist()),
                     velocity=tuple(velocity.tolist()),
                 )
             )
-        if rests and self._news.wait(REST_PERIOD):
+        if rests and self._news.wait(clock.real_seconds(REST_PERIOD)):
             self._news.clear()
 
     def _next(self) -> Plan | None:

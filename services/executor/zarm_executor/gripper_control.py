@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,6 +10,7 @@ from zarm_contract.errors import Busy, InvalidRequest, Problem, Unavailable
 from zarm_contract.gripper import Gripper
 from zarm_contract.messages import GripperRequest, GripperState, GripperStatus
 from zarm_executor.gripper_links import GripperLink
+from zarm_runtime import clock
 
 _MOVED = 2e-4
 """An opening that has changed by more than this (m) has moved: position sensors of grippers resolve 0.1 mm and better."""
@@ -64,7 +64,7 @@ class GripperControl:
                         f"{self._name} moves for {self._goal.goal_id}; wait for its end, cancel it, or set preempt"
                     )
                 self._end("cancelled", Problem(code="cancelled", message=f"{goal_id} took its place"))
-            before, now = self._width(), time.monotonic()
+            before, now = self._width(), clock.monotonic()
             self._goal = _Goal(goal_id, width, now, before, before, now)
             self._link.command(self._gripper.position(width), speed * self._gripper.joint_speed, force)
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import threading
-import time
 from abc import ABC, abstractmethod
 
 from zarm_contract.gripper import Gripper
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverGripperCommand, DriverGripperState, JointState
+from zarm_runtime import clock
 from zarm_runtime.bus import Bus
 
 
@@ -50,7 +50,7 @@ class EmulatedGripper(GripperLink):
 
     def measured(self) -> tuple[float, float] | None:
         """Where it is."""
-        return self.position, time.monotonic()
+        return self.position, clock.monotonic()
 
     def report(self) -> DriverGripperState | None:
         """The position says it all."""
@@ -97,10 +97,10 @@ class DrivenGripper(GripperLink):
             return
         with self._lock:
             if state.position is not None:
-                self._measured = state.position, time.monotonic()
+                self._measured = state.position, clock.monotonic()
             if state.sequence == self._sequence and (state.reached or state.stalled or state.problem):
                 self._report = state
 
     def _receive_joints(self, _key: str, state: JointState) -> None:
         if self._joint in state.joint_names:
-            self._measured = state.position[state.joint_names.index(self._joint)], time.monotonic()
+            self._measured = state.position[state.joint_names.index(self._joint)], clock.monotonic()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import secrets
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -27,6 +26,7 @@ from zarm_executor.gripper_control import GripperControl
 from zarm_executor.gripper_links import DrivenGripper, EmulatedGripper
 from zarm_executor.machine import Machine
 from zarm_executor.member_gripper import MemberGripper
+from zarm_runtime import clock
 from zarm_runtime.bus import Bus
 from zarm_runtime.state_file import StateFile
 
@@ -80,7 +80,7 @@ class Grippers:
         self._publishing = threading.Lock()
         self._published: dict[str, tuple[GripperState, float]] = {}
         self._stopped = 0.0
-        self._ticked = time.monotonic()
+        self._ticked = clock.monotonic()
         self.switch(machine.state().strategy)
 
     def __bool__(self) -> bool:
@@ -198,7 +198,7 @@ class Grippers:
         """Publish what has changed."""
         with self._publishing:
             for name, control in self._controls.items():
-                self._publish(name, control.state(), time.monotonic())
+                self._publish(name, control.state(), clock.monotonic())
 
     def _publish(self, name: str, state: GripperState, now: float) -> None:
         before = self._published.get(name)
@@ -223,7 +223,7 @@ class Grippers:
         positions = tuple(emulated.position for emulated in self._emulated.values())
         try:
             self._file.save(
-                JointState(stamp=time.time(), joint_names=names, position=positions, velocity=(0.0,) * len(names))
+                JointState(stamp=clock.unix_time(), joint_names=names, position=positions, velocity=(0.0,) * len(names))
             )
         except Unavailable as error:
             log.warning("the emulated grippers are not saved reason=%s", error)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 import os
 import threading
-import time
 from bisect import bisect_left
 from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
+from zarm_runtime import clock
 from zarm_runtime.realtime import CONTROL_PRIORITY, ask_for_realtime
 
 log = logging.getLogger(__name__)
@@ -76,10 +76,10 @@ class Loop:
         try:
             if self._realtime and not ask_for_realtime(CONTROL_PRIORITY):
                 log.info("no real-time priority loop=%s remedy=allow_CAP_SYS_NICE_or_RLIMIT_RTPRIO", self._name)
-            deadline = time.monotonic()
+            deadline = clock.monotonic()
             while not self._ended.is_set():
-                time.sleep(max(0.0, deadline - time.monotonic()))
-                late = max(0.0, time.monotonic() - deadline)
+                clock.sleep(max(0.0, deadline - clock.monotonic()))
+                late = max(0.0, clock.monotonic() - deadline)
                 self._late_counts[bisect_left(LATE, late)] += 1
                 self._late_sum += late
                 self._latest = max(self._latest, late)

@@ -13,7 +13,6 @@ from __future__ import annotations
 import logging
 import math
 import threading
-import time
 from collections import deque
 
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, ExecutionRefused, Problem, Unavailable
@@ -36,6 +35,7 @@ from zarm_executor.strategies.base import Measured, Strategy
 from zarm_executor.switching import ActiveStrategy
 from zarm_executor.tick_clock import TickClock
 from zarm_executor.withdrawals import Withdrawals
+from zarm_runtime import clock
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -103,7 +103,7 @@ class Machine:
             self.admit()
             motion = GoalExecution(goal, self._strategy, self._guard, self.changes)
             motion.start(self._speed_scale)
-            self._clock.begin(time.monotonic() if goal.begun is None else goal.begun)
+            self._clock.begin(clock.monotonic() if goal.begun is None else goal.begun)
             self._motion = motion
             self._begun.notify_all()
             if self._problem is not None:
@@ -414,18 +414,18 @@ class Machine:
             return measured is not None and measured.time >= since
 
         with self._ticked:
-            self._ticked.wait_for(fresh, patience)
+            self._ticked.wait_for(fresh, clock.real_seconds(patience))
             return self._strategy.joint_state()
 
     def wait_for_rest(self, patience: float) -> bool:
         """Wait until no goal is left; returns whether that happened within `patience` s."""
         with self._rested:
-            return self._rested.wait_for(lambda: self._motion is None, patience)
+            return self._rested.wait_for(lambda: self._motion is None, clock.real_seconds(patience))
 
     def wait_for_news(self, patience: float) -> None:
         """Wait until there is a goal or `changes` to publish, for at most `patience` s."""
         with self._begun:
-            self._begun.wait_for(lambda: self._motion is not None or self.changes, patience)
+            self._begun.wait_for(lambda: self._motion is not None or self.changes, clock.real_seconds(patience))
 
     def _mode(self) -> RobotMode:
         if self._motion is not None:

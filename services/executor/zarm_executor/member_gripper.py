@@ -12,6 +12,7 @@ from zarm_contract.gripper import Gripper
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverGripperState, GripperRequest, GripperState
 from zarm_executor.gripper_links import GripperLink
+from zarm_runtime import clock
 from zarm_runtime.bus import Bus
 
 log = logging.getLogger(__name__)
@@ -70,7 +71,7 @@ class MemberGripper(GripperLink):
     def _receive(self, _key: str, state: GripperState) -> None:
         with self._lock:
             if state.position is not None:
-                self._measured = state.position, time.monotonic()
+                self._measured = state.position, clock.monotonic()
             if state.goal_id == self._asked and state.done:
                 self._report = DriverGripperState(
                     gripper=self._name,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable
 
 from zarm_contract.errors import Busy, Code, InvalidRequest, Problem, Unavailable, from_problem
@@ -12,6 +11,7 @@ from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverOutputCommand, DriverOutputState, OutputRequest, OutputState
 from zarm_contract.robot import RobotDescription
 from zarm_contract.strategies import DRIVER_STRATEGIES
+from zarm_runtime import clock
 from zarm_runtime.bus import Bus, Publisher
 
 log = logging.getLogger(__name__)
@@ -44,7 +44,7 @@ class Output:
     def begin(self, on: bool) -> None:
         """Command it. Raises Busy while another command is not confirmed, and Unavailable where the strategy moves no robot."""
         with self._changed:
-            if self._waits(time.monotonic()):
+            if self._waits(clock.monotonic()):
                 raise Busy(f"{self.name} is being switched for another client; try again")
             self._wanted = on
             if self._strategy == "emulator":
@@ -55,7 +55,7 @@ class Output:
                     f"the strategy {self._strategy} switches no outputs; choose emulator, or one that moves the robot"
                 )
             self._sequence += 1
-            self._waiting, self._due = True, time.monotonic() + self._timeout
+            self._waiting, self._due = True, clock.monotonic() + self._timeout
             command = DriverOutputCommand(output=self.name, sequence=self._sequence, on=on)
         self._commands.put(command)
 
@@ -63,13 +63,13 @@ class Output:
     def waiting(self) -> bool:
         """Whether the driver has still to confirm the last command."""
         with self._changed:
-            return self._waits(time.monotonic())
+            return self._waits(clock.monotonic())
 
     def wait(self) -> OutputState:
         """The state of an output once the driver has confirmed the last command, or has failed to in time."""
         with self._changed:
-            while self._waits(time.monotonic()):
-                self._changed.wait(max(self._due - time.monotonic(), 0.0))
+            while self._waits(clock.monotonic()):
+                self._changed.wait(clock.real_seconds(max(self._due - clock.monotonic(), 0.0)))
             return self._state
 
     @property

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 
@@ -13,6 +12,7 @@ from zarm_contract.keys import Keys
 from zarm_contract.messages import ExecutorState, GoalState
 from zarm_executor.goal import Goal
 from zarm_executor.machine import Machine
+from zarm_runtime import clock
 from zarm_runtime.bus import Bus
 from zarm_runtime.metrics import Metrics
 from zarm_runtime.state_file import StateFile
@@ -117,7 +117,7 @@ class Reporter:
         A command handler calls this before it answers, so no answer is ahead of the published state. The state is not
         ahead of the goals either, so whoever sees the robot idle can read how its goal ended.
         """
-        now = time.monotonic() if now is None else now
+        now = clock.monotonic() if now is None else now
         with self._lock:
             changes, state = self._machine.news()
             for change in changes:

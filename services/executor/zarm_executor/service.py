@@ -7,9 +7,9 @@ import gc
 import logging
 import os
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import replace
 
 from zarm_contract.messages import (
     GoalState,
@@ -19,7 +19,6 @@ from zarm_contract.messages import (
 )
 from zarm_contract.robot import RobotDescription
 from zarm_executor.admission import REST_PATIENCE, Admission
-from zarm_executor.clocks import time_of_day
 from zarm_executor.executor import Executor
 from zarm_executor.flight_recorder import FlightRecorder
 from zarm_executor.ghost import PERIOD as GHOST_PERIOD
@@ -39,6 +38,7 @@ from zarm_executor.strategies import build_strategies
 from zarm_executor.strategies.base import Strategy
 from zarm_executor.streams import Streams
 from zarm_executor.watchdog import Watchdog
+from zarm_runtime import clock
 from zarm_runtime.bus import Bus, Publisher
 from zarm_runtime.metrics import Metrics
 from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
@@ -88,7 +88,7 @@ class Control:
             stamp = measured.stamp
             self._publisher.put(
                 JointState(
-                    stamp=time_of_day(measured.time) if stamp is None else stamp,
+                    stamp=clock.unix_time_of(measured.time) if stamp is None else stamp,
                     joint_names=self._joints,
                     position=tuple(measured.position.tolist()),
                     velocity=tuple(measured.velocity.tolist()),
@@ -102,7 +102,7 @@ def start(service: Service) -> Iterator[None]:
     """The executor, from its first tick until the robot has come to rest after the last."""
     sys.setswitchinterval(SWITCH_INTERVAL)
     _give_back_large_blocks()
-    robot, keys, bus = service.robot, service.keys, service.bus
+    robot, keys, bus = _with_real_timeouts(service.robot), service.keys, service.bus
     joints = robot.descriptor.joints
     ring = Ring(keys)
     bus.observe(ring.observe)
@@ -167,7 +167,9 @@ def start(service: Service) -> Iterator[None]:
                 Loop("grippers", GRIPPERS_PERIOD, grippers.tick) if grippers else nullcontext(),
             ):
                 bus.watch(keys.scene_revision, present.receive)
-                command_bus.subscribe(keys.authority, lambda _, authority: machine.receive(authority, time.monotonic()))
+                command_bus.subscribe(
+                    keys.authority, lambda _, authority: machine.receive(authority, clock.monotonic())
+                )
                 command_bus.subscribe(keys.external_torque, lambda _, felt: machine.collide(felt))
 
                 def receive(key: str, plan: Plan) -> None:
@@ -205,7 +207,7 @@ def _export(metrics: Metrics, machine: Machine, loop: Loop) -> None:
 
     def age() -> float | None:
         measured = machine.joint_state()
-        return None if measured is None else time.monotonic() - measured.time
+        return None if measured is None else clock.monotonic() - measured.time
 
     metrics.read(
         "counter",
@@ -239,15 +241,28 @@ def _exempt_from_collection() -> None:
     gc.freeze()
 
 
+def _with_real_timeouts(robot: RobotDescription) -> RobotDescription:
+    """The robot, with timeouts of messages that are as long in real time as its descriptor says: other programs take as long as ever to
+    speak, however fast its time passes.
+    """
+    execution = robot.descriptor.execution
+    timeouts = {
+        name: getattr(execution, name) * clock.speed
+        for name in ("joint_state_timeout", "hold_timeout", "guard_timeout")
+    }
+    changed = robot.descriptor.model_copy(update={"execution": execution.model_copy(update=timeouts)})
+    return replace(robot, descriptor=changed)
+
+
 def _wait_for(strategy: Strategy, service: Service) -> None:
     """Give the robot's driver, which may be starting too, time to report its first joints."""
     if strategy.obstacle() is None:
         return
     service.starting("waiting for the robot's driver")
-    deadline = time.monotonic() + DRIVER_PATIENCE
-    while strategy.obstacle() is not None and time.monotonic() < deadline:
+    deadline = clock.monotonic() + DRIVER_PATIENCE
+    while strategy.obstacle() is not None and clock.monotonic() < deadline:
         service.check_running()
-        time.sleep(0.05)
+        clock.sleep(0.05)
 
 
 def _serve(bus: Bus, service: Service, executor: Executor) -> None:

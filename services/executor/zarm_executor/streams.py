@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections import OrderedDict
 
 import numpy as np
@@ -18,6 +17,7 @@ from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.reporter import Reporter
 from zarm_executor.tick_clock import EARLIEST
+from zarm_runtime import clock
 from zarm_trajectory.arrays import Array
 from zarm_trajectory.blending import blended
 from zarm_trajectory.limits import Limits
@@ -43,7 +43,7 @@ class Streams:
 
     def receive(self, _key: str, chunk: StreamChunk, arrival: int) -> None:
         """Begin the stream, or blend over to this chunk; one call at a time."""
-        received = time.monotonic()
+        received = clock.monotonic()
         sequence = self._machine.sequence(chunk.goal_id)
         if sequence is not None:
             if chunk.sequence > sequence:
@@ -64,7 +64,7 @@ class Streams:
                 if chunk.start != 0.0:
                     raise InvalidRequest("the first chunk of a stream must start at 0", field="start")
                 planned = executable(chunk.trajectory, self._robot)
-                trajectory, at = placed(planned, self._admission.joint_state(), time.monotonic(), self._robot)
+                trajectory, at = placed(planned, self._admission.joint_state(), clock.monotonic(), self._robot)
                 self._turns = trajectory.start - planned.start
                 # The robot may be off by the start tolerance: blend from its position as between two chunks.
                 trajectory = blended(TimedTrajectory.standing(at.position), 0.0, trajectory, 0.0, self._limits)
@@ -120,8 +120,8 @@ def _begun(chunk: StreamChunk) -> float | None:
     """Since when (s, monotonic) the time of a stream counts; None if it says nothing, or another clock is far off."""
     if chunk.begin_at is None:
         return None
-    since = time.time() - chunk.begin_at
+    since = clock.unix_time() - chunk.begin_at
     if 0.0 <= since <= EARLIEST:
-        return time.monotonic() - since
+        return clock.monotonic() - since
     log.warning("a stream begins when it arrives, its clock is off goal_id=%s since=%.3f", chunk.goal_id, since)
     return None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +12,7 @@ from zarm_contract.messages import Camera, CameraState, Intrinsics
 from zarm_geometry.frames import matrix
 from zarm_geometry.robot_model import RobotModel
 from zarm_perception.kernels.integration import Depth, View, project
+from zarm_runtime import clock
 from zarm_trajectory.arrays import Array
 
 OLDEST, EARLIEST = 0.5, 0.02
@@ -53,7 +53,7 @@ class CameraSource:
         self._view = _view(camera)
         if self._view is not None and camera.projection == "spherical":
             self._pose = self._pose @ _OPTICAL
-        self._images, self._seen_at, self._stamp = 0, time.monotonic(), 0.0
+        self._images, self._seen_at, self._stamp = 0, clock.monotonic(), 0.0
         self._took, self._valid, self._robot = 0.0, 0.0, 0.0
         self._arrived = False
         self._fault = ""
@@ -101,7 +101,7 @@ class CameraSource:
 
     def _check(self, stamp: float) -> None:
         """Raises InvalidRequest for an image that was taken at another time."""
-        late = time.time() - stamp
+        late = clock.unix_time() - stamp
         if late < -EARLIEST:
             raise InvalidRequest(
                 f"the image is stamped {-late:.3f} s in the future; make the clocks agree within {EARLIEST:g} s",
@@ -137,7 +137,7 @@ class CameraSource:
         self._images += 1
         self._arrived = True
         if valid >= COVERED:
-            self._seen_at = time.monotonic()
+            self._seen_at = clock.monotonic()
         self._valid, self._robot = valid, robot
         self._took += (took - self._took) * (_ALPHA if self._images > 1 else 1.0)
         self._fault = (
@@ -150,7 +150,7 @@ class CameraSource:
 
     @property
     def _age(self) -> float:
-        return time.monotonic() - self._seen_at
+        return clock.monotonic() - self._seen_at
 
     @property
     def stale(self) -> bool:

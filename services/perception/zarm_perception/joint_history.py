@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import threading
-import time
 from bisect import bisect_left
 from collections import deque
 
 import numpy as np
 
 from zarm_contract.messages import JointState
+from zarm_runtime import clock
 from zarm_trajectory.arrays import Array
 
 _KEPT = 2000
@@ -33,7 +33,7 @@ class JointHistory:
 
     def receive(self, _key: str, state: JointState) -> None:
         """Take what the robot has measured."""
-        if not {*self._joints} <= {*state.joint_names} or state.stamp > time.time() + _MAX_STAMP_LEAD:
+        if not {*self._joints} <= {*state.joint_names} or state.stamp > clock.unix_time() + _MAX_STAMP_LEAD:
             return
         order = [state.joint_names.index(name) for name in self._joints]
         with self._lock:
@@ -46,7 +46,7 @@ class JointHistory:
         after it does not say where the robot was.
         """
         with self._lock:
-            self._newer.wait_for(lambda: self._states and self._states[-1][0] >= stamp, patience)
+            self._newer.wait_for(lambda: self._states and self._states[-1][0] >= stamp, clock.real_seconds(patience))
             states = list(self._states)
         after = bisect_left(states, stamp, key=lambda state: state[0])
         if after == len(states):

@@ -35,6 +35,7 @@ from zarm_perception.joint_history import JointHistory
 from zarm_perception.robot_shape import RobotShapes
 from zarm_perception.saved_map import load, save
 from zarm_perception.voxel_map import Seen, VoxelMap
+from zarm_runtime import clock
 
 log = logging.getLogger(__name__)
 
@@ -171,9 +172,9 @@ class Mapping:
     # -- the map, in a thread of its own --
 
     def _run(self) -> None:
-        due = time.monotonic()
+        due = clock.monotonic()
         while not self._ended:
-            if self._news.wait(max(0.0, due - time.monotonic())):
+            if self._news.wait(clock.real_seconds(max(0.0, due - clock.monotonic()))):
                 self._news.clear()
                 with self._lock:
                     images, self._waiting = self._waiting, {}
@@ -183,8 +184,8 @@ class Mapping:
                     except Exception as error:  # if this ended, the map would silently be old
                         log.exception("an image is not in the map camera=%s", name)
                         source.refused(f"a fault of zarm, see the log: {error}")
-            if time.monotonic() >= due:
-                due = time.monotonic() + _STATE_PERIOD
+            if clock.monotonic() >= due:
+                due = clock.monotonic() + _STATE_PERIOD
                 self._report(self._state())
 
     def _take(self, source: CameraSource, image: Image) -> None:
@@ -208,7 +209,7 @@ class Mapping:
         self._show_mask(source.camera.name, image.stamp, seen)
 
     def _show_mask(self, camera: str, stamp: float, seen: Seen) -> None:
-        now = time.monotonic()
+        now = clock.monotonic()
         if now - self._shown_at.get(camera, -math.inf) >= _STATE_PERIOD:
             self._shown_at[camera] = now
             mask = seen.mask()
@@ -245,5 +246,5 @@ class Mapping:
             unseen="occupied" if voxels.unseen_occupied else "free",
             occupied=int(np.count_nonzero(voxels.occupied)),
             stale=any(source.stale for source in sources),
-            stamp=time.time(),
+            stamp=clock.unix_time(),
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,6 +15,7 @@ from zarm_contract.messages import Attached, DriverGripperCommand, Vector3
 from zarm_physics_sim.drives import Drives, DriveSettings
 from zarm_physics_sim.simulation import STEP, Simulation
 from zarm_physics_sim.world import World
+from zarm_runtime import clock
 from zarm_simulated_driver import player
 from zarm_simulated_driver.player import Player
 from zarm_trajectory.arrays import Array
@@ -55,6 +55,7 @@ class PhysicalArm:
         report: Callable[[Simulation], None],
     ) -> None:
         self._simulation, self._order = simulation, np.array(order)
+        self._square = np.ix_(self._order, self._order)
         self._report, self._steps = report, 0
         self._lock = threading.Lock()
         start = simulation.position[self._order]
@@ -145,9 +146,7 @@ class PhysicalArm:
         """One step of the simulation; returns the torques (J,) of the drives."""
         simulation, order = self._simulation, self._order
         self._measured = self._drives.measured(simulation.position[order], simulation.velocity[order])
-        driven = self._drives.torque(
-            reference, self._measured, simulation.mass[np.ix_(order, order)], simulation.bias[order]
-        )
+        driven = self._drives.torque(reference, self._measured, simulation.mass[self._square], simulation.bias[order])
         torque = np.empty(len(order))
         torque[order] = driven
         simulation.step(torque, self._finger_forces(), self._push)
@@ -155,6 +154,8 @@ class PhysicalArm:
 
     def _finger_forces(self) -> Array:
         simulation = self._simulation
+        if not simulation.fingers:
+            return np.zeros(0)
         for drive in self.grippers.values():
             most = drive.speed * STEP
             drive.reference += min(max(drive.target - drive.reference, -most), most)
@@ -172,7 +173,7 @@ class PhysicalArm:
     def picture(self) -> tuple[Simulation, Any, float]:
         """The present simulation, a copy of its state, and the time (Unix, s)."""
         with self._lock:
-            return self._simulation, self._simulation.snapshot(), time.time()
+            return self._simulation, self._simulation.snapshot(), clock.unix_time()
 
     def change_world(
         self, world: World, carried: Sequence[Attached], prepare: Callable[[Simulation], None] = lambda _: None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from functools import cache
 from types import TracebackType
 from typing import Any, Self
@@ -17,6 +16,7 @@ from zarm_contract.keys import Keys
 from zarm_contract.messages import Camera, Cameras, ColorHeader, ImageHeader, Intrinsics
 from zarm_physics_sim.arm import PhysicalArm
 from zarm_physics_sim.simulation import Simulation
+from zarm_runtime import clock
 from zarm_runtime.bus import Bus
 
 log = logging.getLogger(__name__)
@@ -151,13 +151,13 @@ class SimulatedCameras:
                     self._coming = None
                     renderers.prepare(coming)
                     self._prepared.set()
-                now, cameras = time.monotonic(), self._cameras
+                now, cameras = clock.monotonic(), self._cameras
                 soon = [camera for camera in cameras if due.get(camera.name, now) <= now]
                 for camera in soon:
                     due[camera.name] = max(due.get(camera.name, now), now - 1.0) + 1.0 / camera.rate
                     self._take(camera, renderers)
                 next_due = min((due[camera.name] for camera in cameras), default=now + _IDLE_PERIOD)
-                if self._changed.wait(max(0.0, next_due - time.monotonic())):
+                if self._changed.wait(clock.real_seconds(max(0.0, next_due - clock.monotonic()))):
                     self._changed.clear()
         except Exception:  # without a way to render, or out of graphics memory: the robot goes on
             log.exception("the cameras see nothing any more")

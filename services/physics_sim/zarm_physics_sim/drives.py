@@ -101,7 +101,7 @@ class Drives:
         if self._motor is None:
             self._motor = position.copy()
         half = 0.5 * settings.backlash
-        self._motor = np.clip(self._motor, position - half, position + half)
+        self._motor = np.minimum(np.maximum(self._motor, position - half), position + half)
         if settings.noise == 0.0:
             return self._motor, velocity
         return self._motor + self._rng.normal(0.0, settings.noise, len(position)), velocity
@@ -117,11 +117,11 @@ class Drives:
         if len(self._references) > self._waits + 1:
             self._references.popleft()
         position, velocity, acceleration = self._references[0]
-        error = np.clip(position - measured[0], -_LARGEST_ERROR, _LARGEST_ERROR)
+        error = np.minimum(np.maximum(position - measured[0], -_LARGEST_ERROR), _LARGEST_ERROR)
         w = settings.bandwidth
         closing = w * w * error + 2.0 * _DAMPING * w * (velocity - measured[1])
-        wanted = settings.feedforward * (mass @ acceleration + bias) + np.diag(mass) * (closing + self._integral)
-        torque = np.clip(wanted, -self._limit, self._limit)
-        growing = np.where(np.abs(wanted) < self._limit, settings.integral * w * w * error * self._step, 0.0)
-        self._integral = self._integral + growing
+        wanted = settings.feedforward * (mass @ acceleration + bias) + mass.diagonal() * (closing + self._integral)
+        torque = np.minimum(np.maximum(wanted, -self._limit), self._limit)
+        if settings.integral > 0.0:
+            self._integral = self._integral + (torque == wanted) * (settings.integral * w * w * self._step) * error
         return torque

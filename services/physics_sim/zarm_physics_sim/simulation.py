@@ -113,6 +113,7 @@ class Simulation:
         self._places = {name: np.array(world.objects[name].position) for name in walking}
         self._tip = self._model.body(link_body(robot.descriptor.tip_link)).id
         self._joints = _Joints.of(self._model, robot.descriptor.joints)
+        self._square = np.ix_(self._joints.speeds, self._joints.speeds)
         grippers = robot.descriptor.grippers.values()
         self.fingers = tuple(
             Finger(name, *follows, gripper)
@@ -229,7 +230,7 @@ class Simulation:
         """The mass matrix (J, J) of the arm, kg m²."""
         whole = np.zeros((self._model.nv, self._model.nv))
         mujoco.mj_fullM(self._model, self._data, whole)
-        return whole[np.ix_(self._joints.speeds, self._joints.speeds)]
+        return whole[self._square]
 
     @property
     def bias(self) -> Array:
@@ -267,7 +268,8 @@ class Simulation:
         frame) acts on the tip.
         """
         self._data.qfrc_applied[self._joints.speeds] = torque
-        self._data.qfrc_applied[self._fingers.speeds] = finger_force
+        if self.fingers:
+            self._data.qfrc_applied[self._fingers.speeds] = finger_force
         for walk in self.world.walks:
             moved = walk.at(self.time - self._loaded)
             for name in walk.names:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from zarm_contract.messages import BodyPose, Contact, PhysicsState
 from zarm_contract.messages.physics import MAX_BODIES, MAX_CONTACTS
 from zarm_physics_sim.simulation import Simulation
+from zarm_runtime import clock
 
 _WINDOW = 50
 """States over which the real-time factor is measured: a second."""
@@ -28,7 +29,7 @@ class Truth:
         contacts = sorted(simulation.contacts(), key=lambda contact: -contact.force)[:MAX_CONTACTS]
         poses = list(simulation.poses().items())[:MAX_BODIES]
         state = PhysicsState(
-            stamp=time.time(),
+            stamp=clock.unix_time(),
             time=simulation.time,
             real_time_factor=(last - first) / (now - began) if now > began else 1.0,
             position=tuple(simulation.position.tolist()),

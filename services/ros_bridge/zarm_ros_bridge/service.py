@@ -32,6 +32,7 @@ from zarm_ros_bridge.terms import Terms
 from zarm_ros_bridge.topics import Topics
 from zarm_ros_bridge.transform_publisher import TransformPublisher
 from zarm_ros_bridge.turns import Turns
+from zarm_runtime import clock
 from zarm_runtime.service import Service, run_service, service_parser
 
 NODE = "unified_planner"
@@ -46,6 +47,8 @@ def start(service: Service) -> Iterator[None]:
     namespace = _namespace(service)
     generation = installed()
     service.note = str(generation)
+    if clock.speed != 1.0:
+        raise InvalidRequest("ROS 2 runs in real time; start the bridge without ZARM_SPEED", field="ZARM_SPEED")
     with (
         Ros(NODE, namespace, workers=WORKERS, parameters=True) as ros,
         Ros(f"_{NODE}_v1", namespace, workers=2) as first,

@@ -49,6 +49,13 @@ def test_settings_of_what_is_not_started_are_refused(option: str, remedy: str) -
     assert remedy in the_one_line(refused.stderr)
 
 
+@pytest.mark.parametrize("interface", ["--ros", "--moveit"])
+def test_ros_faster_than_real_time_is_refused(interface: str) -> None:
+    refused = zarm("up", interface, "--speed", "2")
+    assert refused.returncode == 1
+    assert "ROS 2 runs in real time" in the_one_line(refused.stderr)
+
+
 def test_a_second_up_for_the_same_robot_is_refused(up: Up) -> None:
     with Bus(up.endpoint) as bus:
         before = bus.alive(ALL_ALIVE)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import heapq
 import itertools
-import time as real_time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -114,13 +113,12 @@ def _clock() -> Iterator[SimpleNamespace]:
     clock = SimpleNamespace(now=100.0)
     turned = SimpleNamespace(
         monotonic=lambda: clock.now,
-        time=lambda: _UNIX + clock.now,
-        perf_counter=real_time.perf_counter,
+        unix_time=lambda: _UNIX + clock.now,
         sleep=lambda _: None,
     )
     with pytest.MonkeyPatch.context() as patch:
         for module in (guard_module, session_module, chunk_module):
-            patch.setattr(module, "time", turned)
+            patch.setattr(module, "clock", turned)
         yield clock
 
 

@@ -40,7 +40,7 @@ class Hand:
 
     def __init__(self, link: GripperLink, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 100.0
-        monkeypatch.setattr("zarm_executor.gripper_control.time.monotonic", lambda: self.now)
+        monkeypatch.setattr("zarm_executor.gripper_control.clock.monotonic", lambda: self.now)
         self.control = GripperControl("hand", HAND, link)
 
     def start(self, **request: object) -> None:

@@ -357,7 +357,7 @@ def test_a_joint_target_is_extrapolated() -> None:
 
 def test_the_gripper_gets_the_last_opening_of_a_short_chunk(monkeypatch: pytest.MonkeyPatch) -> None:
     follower, asked = Follower(), list[float]()
-    monkeypatch.setattr(chunk_tracking.time, "monotonic", lambda: follower.time - 0.05)  # steps are ahead of now
+    monkeypatch.setattr(chunk_tracking.clock, "monotonic", lambda: follower.time - 0.05)  # steps are ahead of now
     follower.tracking._grip = SimpleNamespace(follow=lambda chunk, time: asked.append(chunk.opening(time)))  # type: ignore[assignment]
     follower.take(chunk_of(np.tile(HOME, (10, 1)), 0.0))
     follower.inbox._references = [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointState
 from zarm_executor.loop import Loop
 from zarm_executor.strategies.base import Measured, Progress, Steerable
+from zarm_runtime import clock
 from zarm_runtime.state_file import StateFile
 from zarm_trajectory.arrays import Array
 from zarm_trajectory.follower import Follower
@@ -39,7 +39,7 @@ class EmulatedRobot:
             log.warning("the saved position has other joints; the emulated robot starts at home")
             saved = None
         position = np.array(descriptor.home if saved is None else saved.position)
-        self.measured = Measured(position, self._still, time.monotonic())
+        self.measured = Measured(position, self._still, clock.monotonic())
         self._saved: Array | None = None
 
     def move(self, position: Array, velocity: Array, now: float) -> None:
@@ -60,7 +60,9 @@ class EmulatedRobot:
         position = self.measured.position
         rest = tuple(self._still.tolist())
         self._file.save(
-            JointState(stamp=time.time(), joint_names=self._joints, position=tuple(position.tolist()), velocity=rest)
+            JointState(
+                stamp=clock.unix_time(), joint_names=self._joints, position=tuple(position.tolist()), velocity=rest
+            )
         )
         self._saved = position
 
@@ -79,7 +81,7 @@ class Emulator(Steerable):
 
     def open(self) -> None:
         """Begin to save the position; fails if it cannot be written."""
-        self._robot.rest(time.monotonic())  # it may not have been read for a while, but its position is known
+        self._robot.rest(clock.monotonic())  # it may not have been read for a while, but its position is known
         self._robot.save()
         self._saver.start()
 

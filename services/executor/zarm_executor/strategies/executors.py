@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import time
-
 from zarm_contract.errors import Unavailable
 from zarm_contract.strategies import EXECUTORS
 from zarm_executor.strategies.executors_link import ExecutorsLink
 from zarm_executor.strategies.streaming import Streaming
+from zarm_runtime import clock
 from zarm_trajectory.retimed import RetimedTrajectory
 
 
@@ -29,7 +28,7 @@ class Executors(Streaming):
 
     def problem(self) -> str | None:
         """Why one of them does not follow. One that is silent holds the motion first, as a silent driver does."""
-        return None if self._over or not self.link.is_reporting(time.monotonic()) else self._executors.trouble()
+        return None if self._over or not self.link.is_reporting(clock.monotonic()) else self._executors.trouble()
 
     def tick(self, now: float, dt: float) -> None:
         """Advance; at rest, keep the stream open."""
@@ -39,7 +38,7 @@ class Executors(Streaming):
 
     def end(self) -> None:
         """After a while, leave the executors to others."""
-        self._executors.end(time.monotonic())
+        self._executors.end(clock.monotonic())
 
     def close(self) -> None:
         """The robot is at rest: the executors are free."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import secrets
 import threading
-import time
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -12,9 +11,9 @@ import numpy as np
 from zarm_contract.descriptor import CommandTiming, RobotDescriptor
 from zarm_contract.keys import Keys
 from zarm_contract.messages import ExecutorState, GoalState, StreamChunk
-from zarm_executor.clocks import time_of_day
 from zarm_executor.strategies.base import Measured
 from zarm_executor.strategies.robot_link import RobotLink
+from zarm_runtime import clock
 from zarm_runtime.bus import Bus
 from zarm_trajectory.arrays import Array
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -156,7 +155,7 @@ class ExecutorsLink(RobotLink):
     def release(self) -> None:
         """End the stream; the robots are at rest."""
         if self._goal_id is not None:
-            self._rest(time.monotonic(), last=True)
+            self._rest(clock.monotonic(), last=True)
 
     def stop(self) -> int:
         """Nothing to send: what the robots have ends with braking along the path."""
@@ -186,7 +185,7 @@ class ExecutorsLink(RobotLink):
                     trajectory=TimedTrajectory(times, *states[:, :, member.columns]).message(member.joints),
                     deadline=_DEADLINE,
                     last=last,
-                    begin_at=None if self._sequence > 1 else time_of_day(self._began),
+                    begin_at=None if self._sequence > 1 else clock.unix_time_of(self._began),
                 )
             )
 

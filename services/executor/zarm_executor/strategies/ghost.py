@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import time
-
 from zarm_contract.errors import Unavailable
 from zarm_executor.strategies.base import Measured, Progress, Strategy
 from zarm_executor.strategies.emulator import EmulatedRobot
+from zarm_runtime import clock
 from zarm_trajectory.path_state import PathState
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -23,7 +22,7 @@ class GhostOnly(Strategy):
 
     def open(self) -> None:
         """Nothing is held; the robot's position is known at once."""
-        self._robot.rest(time.monotonic())
+        self._robot.rest(clock.monotonic())
 
     def close(self) -> None:
         """Nothing was held."""

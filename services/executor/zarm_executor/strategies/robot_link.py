@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from abc import ABC, abstractmethod
 
 import numpy as np
 
 from zarm_contract.descriptor import CommandTiming, RobotDescriptor
 from zarm_executor.strategies.base import Measured
+from zarm_runtime import clock
 from zarm_trajectory.arrays import Array
 from zarm_trajectory.rate_bounds import RateLimits
 
@@ -63,7 +63,7 @@ class RobotLink(ABC):
         Zero if they are old: a motion from before a silence must not start again after it.
         """
         measured = self.measured()
-        old = measured is None or time.monotonic() - measured.time > self.execution.joint_state_timeout
+        old = measured is None or clock.monotonic() - measured.time > self.execution.joint_state_timeout
         reported = np.zeros_like(self.velocity_clamp) if measured is None or old else measured.velocity
         return np.clip(reported, -self.velocity_clamp, self.velocity_clamp)
 

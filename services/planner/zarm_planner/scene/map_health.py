@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time
-
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import PerceptionState
+from zarm_runtime import clock
 
 STALE_SCALE = 0.1
 """Scale of velocity and acceleration of plans in a stale map, for a robot that is to be slow in it."""
@@ -21,7 +20,7 @@ class MapHealth:
 
     def receive(self, _key: str, state: PerceptionState) -> None:
         """Take a state."""
-        self._newest = state, time.monotonic()
+        self._newest = state, clock.monotonic()
 
     @property
     def problem(self) -> str | None:
@@ -29,7 +28,7 @@ class MapHealth:
         if self._newest is None:
             return None
         state, arrived = self._newest
-        silent = time.monotonic() - arrived
+        silent = clock.monotonic() - arrived
         if silent > _SILENCE:
             return f"the perception has said nothing for {silent:.1f} s; start it again"
         if state.stale:

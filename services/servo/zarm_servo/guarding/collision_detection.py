@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
@@ -22,6 +21,7 @@ from zarm_contract.messages import (
 from zarm_contract.messages import JointDynamics as JointDynamicsMessage
 from zarm_geometry.dynamics import Dynamics
 from zarm_geometry.robot_model import RobotModel
+from zarm_runtime import clock
 from zarm_servo.guarding.joint_dynamics import Identification, JointDynamics, Moving
 from zarm_servo.world.scene_monitor import SceneMonitor
 from zarm_trajectory.arrays import Array
@@ -131,7 +131,7 @@ class CollisionDetection:
         return _Sample(message.stamp, position, velocity, effort)
 
     def _present_dynamics(self) -> Dynamics | None:
-        attached = self._scene.snapshot(time.monotonic()).attached
+        attached = self._scene.snapshot(clock.monotonic()).attached
         if attached != self._attached:
             self._attached = attached
             self._dynamics = self._model.with_attached(attached, ()).dynamics

@@ -20,6 +20,7 @@ from zarm_contract.messages import (
     ServoSession,
     ServoState,
 )
+from zarm_runtime import clock
 from zarm_runtime.bus import LatchedPublisher, Publisher
 from zarm_runtime.metrics import Metrics
 from zarm_runtime.worker import Worker
@@ -130,12 +131,12 @@ class Guard:
             if message.number == 1:
                 self.wake()
             return
-        self._goals.on_trajectory(message, time.monotonic())
+        self._goals.on_trajectory(message, clock.monotonic())
         self.wake()
 
     def on_goal(self, goal: GoalState) -> None:
         """Take a goal's progress or result."""
-        if self._goals.on_goal(goal, time.monotonic()):
+        if self._goals.on_goal(goal, clock.monotonic()):
             self.wake()
 
     # -- the thread --
@@ -147,12 +148,12 @@ class Guard:
         finally:
             moving = self._goals.newest is not None and self._world.moving
             if moving:
-                time.sleep(_PACE)
+                clock.sleep(_PACE)
         return _RECHECKED if moving else PERIOD
 
     def _check(self) -> None:
-        scene = self._world.scene.snapshot(time.monotonic())
-        followed = self._goals.current(time.monotonic())
+        scene = self._world.scene.snapshot(clock.monotonic())
+        followed = self._goals.current(clock.monotonic())
         validity: PathValidity | ZarmError = PathValidity()
         movers = self._world.moving.of(scene)
         newest = self._session()
@@ -186,7 +187,7 @@ class Guard:
             until=found.until,
             obstruction=found.obstruction,
         )
-        now = time.monotonic()
+        now = clock.monotonic()
         if self._reported is not None:
             before, reported = self._reported
             if now - reported < PERIOD / 2 and before == authority.model_copy(update={"sequence": before.sequence}):
@@ -206,14 +207,14 @@ class Guard:
             self._done = followed, scene, moving
         if not movers or isinstance(self._validity, ZarmError):
             return self._validity
-        before, reached = time.perf_counter(), self._goals.reached(followed, time.monotonic())
+        before, reached = time.perf_counter(), self._goals.reached(followed, clock.monotonic())
         if self._stopping is None or self._stopping[0] is not followed.trajectory:
             stopping = StoppingTime(followed.trajectory, self._limits, self._reaction)
             self._stopping = followed.trajectory, stopping
         try:
             stopping_time = self._stopping[1].after(reached) + self._world.lag.seconds
             found = self._checker.validity_among(
-                followed.trajectory, reached, scene, movers, time.monotonic(), stopping_time
+                followed.trajectory, reached, scene, movers, clock.monotonic(), stopping_time
             )
         except ZarmError as error:
             return error
@@ -229,7 +230,7 @@ class Guard:
             verified = self._world.scene.at(followed.message.scene_revision, followed.message.openings)
             return self._checker.validity(
                 followed.trajectory,
-                self._goals.reached(followed, time.monotonic()),
+                self._goals.reached(followed, clock.monotonic()),
                 scene,
                 verified,
                 moving,
@@ -262,7 +263,7 @@ class Guard:
             obstruction=validity.obstruction,
             problem=problem,
             check=self._took if session is None and goal_id is not None else 0.0,
-            lost_objects=self._world.moving.lost(time.monotonic()),
+            lost_objects=self._world.moving.lost(clock.monotonic()),
             pose_refused=self._world.moving.refused,
             collision_detection=self._collision_detection(),
             session=None if session is None else session.state(),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,6 +21,7 @@ from zarm_contract.messages import (
     StartState,
 )
 from zarm_contract.robot import RobotDescription
+from zarm_runtime import clock
 from zarm_runtime.metrics import Metrics
 from zarm_runtime.worker import Worker
 from zarm_servo.guarding.lead import Lead
@@ -115,7 +115,7 @@ class Replanner:
 
     def on_goal(self, goal: GoalState) -> None:
         """Take a goal's progress."""
-        self._goal = None if goal.done else (goal, time.monotonic())
+        self._goal = None if goal.done else (goal, clock.monotonic())
 
     def on_validity(self, followed: FollowedGoal | None, until: float | None) -> None:
         """A goal that may be replanned may go up to the path time `until` (s), or to its end if None. Without a goal,
@@ -145,7 +145,7 @@ class Replanner:
             in_motion = blocked.message is not self._stops and blocked.message.path_constraint is None
             if in_motion:
                 self._replan_in_motion(blocked)
-            elif goal.hold is not None and self._rests() and time.monotonic() - self._asked_at_rest > REST_PERIOD:
+            elif goal.hold is not None and self._rests() and clock.monotonic() - self._asked_at_rest > REST_PERIOD:
                 self._replan_at_rest(blocked)
         except ZarmError as error:
             log.info("not replanned goal_id=%s reason=%s", blocked.message.goal_id, error)
@@ -153,7 +153,7 @@ class Replanner:
     def _replan_in_motion(self, blocked: Blocked) -> None:
         """Plan from a state ahead. Raises the ZarmError that prevents a plan in motion."""
         for _ in range(_ATTEMPTS):
-            asked, lead = time.monotonic(), self._lead.seconds
+            asked, lead = clock.monotonic(), self._lead.seconds
             at = self._commanded(asked) + (lead + self._ahead) * self._speed_scale
             if self._blocked is None or at >= min(blocked.until, blocked.trajectory.duration):
                 break
@@ -162,7 +162,7 @@ class Replanner:
             try:
                 plan = self._plan(blocked, asked + lead, start)
                 if self._follow(blocked, plan, at):
-                    took = time.monotonic() - asked
+                    took = clock.monotonic() - asked
                     self._lead.in_time(took)
                     self._note(blocked, "motion", took)
                     return
@@ -176,11 +176,11 @@ class Replanner:
         self._stops = blocked.message
 
     def _replan_at_rest(self, blocked: Blocked) -> None:
-        asked = time.monotonic()
+        asked = clock.monotonic()
         try:
             plan = self._plan(blocked, asked + REST_DEADLINE)
             if self._follow(blocked, plan, None):
-                self._note(blocked, "rest", time.monotonic() - asked)
+                self._note(blocked, "rest", clock.monotonic() - asked)
         except Busy:  # not quite at rest yet
             raise
         except ZarmError:
@@ -220,7 +220,7 @@ class Replanner:
     ) -> Plan:
         """A plan no faster than the goal was at first. Raises DeadlineExceeded at `deadline` (s, monotonic)."""
         _, velocity, acceleration = self._pace
-        left = max(deadline - time.monotonic(), _LEAST_TIME)
+        left = max(clock.real_seconds(deadline - clock.monotonic()), _LEAST_TIME)
         return self._ask(
             PlanRequest(
                 goal=goal,
@@ -240,7 +240,7 @@ class Replanner:
         """Make the executor follow a plan if it is still free in the latest known scene and of moving objects; returns
         whether it does.
         """
-        now = time.monotonic()
+        now = clock.monotonic()
         scene, verified = self._world.scene.snapshot(now), self._world.scene.at(plan.scene_revision, plan.openings)
         trajectory, movers = TimedTrajectory.of(plan.trajectory, self._joints), self._world.moving.of(scene)
         moving = [mover.item.name for mover in movers]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
 
 from zarm_contract.messages import ChunkAccepted, JointState, ServoChunk
 from zarm_geometry.robot_model import RobotModel
+from zarm_runtime import clock
 from zarm_servo.kernels.step import PERIOD
 from zarm_servo.tracking.chunk_follower import ChunkFollower
 from zarm_servo.tracking.chunk_inbox import ChunkInbox
@@ -39,7 +39,7 @@ class ChunkTracking:
         self._joints = model.robot.descriptor.joints
         self._inbox, self._follower = ChunkInbox(model, limits), ChunkFollower(limits)
         self._controller, self._grip, self._measured = controller, grip, measured
-        self._times, self._next = StepTimes(), time.monotonic()
+        self._times, self._next = StepTimes(), clock.monotonic()
         self._apart = 0
         self._last: Reference | None = None
 
@@ -54,7 +54,7 @@ class ChunkTracking:
 
     def take(self, chunk: ServoChunk, limitation: Limitation) -> ChunkAccepted:
         """Accept a chunk; `limitation` is what limits the robot at present. Raises InvalidRequest, see `ChunkInbox.receive`."""
-        now, unix = time.monotonic(), time.time()
+        now, unix = clock.monotonic(), clock.unix_time()
         taken = self._inbox.receive(chunk, now, unix, max(self._next, now), self._controller.state[0])
         link, other = limitation.pair or (None, None)
         return ChunkAccepted(
@@ -75,7 +75,7 @@ class ChunkTracking:
         measured = self._measured()
         if measured is None or set(measured.joint_names) != set(self._joints):
             return None
-        when = time.monotonic() - (time.time() - measured.stamp)
+        when = clock.monotonic() - (clock.unix_time() - measured.stamp)
         reference = self._inbox.at(when)
         if reference is None:
             return None
@@ -104,7 +104,7 @@ class ChunkTracking:
                 self._last = None
             return None
         self._last = reference
-        self._grip.follow(reference, time.monotonic())
+        self._grip.follow(reference, clock.monotonic())
         return self._along(reference, when, rate, around, limitation)
 
     def _along(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections import OrderedDict, deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -27,6 +26,7 @@ from zarm_contract.messages import (
 )
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.robot_model import RobotModel
+from zarm_runtime import clock
 from zarm_runtime.bus import Publisher
 from zarm_runtime.metrics import Metrics
 from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
@@ -139,10 +139,10 @@ class Session:
         self.inbox = Inbox(robot)
         self._joints = robot.descriptor.joints
         # No tool is changed while a goal runs.
-        self._model: RobotModel = check.model.with_tools(world.scene.snapshot(time.monotonic()).attached)
+        self._model: RobotModel = check.model.with_tools(world.scene.snapshot(clock.monotonic()).attached)
         self._measured, self._lag = world.measured, world.lag
         self._chunks, self._changed, self._delay = config.chunks, config.changed, delay
-        self._scene = SessionScene(check, world.scene, world.moving, time.monotonic(), self._give_up)
+        self._scene = SessionScene(check, world.scene, world.moving, clock.monotonic(), self._give_up)
         limits = soft(Limits.of(robot, request.velocity_scale, request.acceleration_scale))
         self._controller = Controller(self._model, check.motions, limits, position, margin=request.margin)
         self._metrics = config.metrics
@@ -153,7 +153,7 @@ class Session:
             initargs=(PROCESS_PRIORITY,),
         )
         grip = GripFollower(
-            config.move_gripper, self._pool, lambda problem: self.inbox.refuse(problem, time.monotonic())
+            config.move_gripper, self._pool, lambda problem: self.inbox.refuse(problem, clock.monotonic())
         )
         self._chunk_tracking = ChunkTracking(self._model, limits, self._controller, grip, self._measured.get)
         find = partial(find_global_plan, config.plan, self._joints, request.margin)
@@ -164,7 +164,7 @@ class Session:
         self._off_path = False
         self._clock = StreamClock(delay)
         self._sequence, self._sent_at = 0, 0.0
-        self._used = time.monotonic()
+        self._used = clock.monotonic()
         self._snapshot = Snapshot()
         self._goal: GoalState | None = None
         self._received_at = self._reported_at = self._used
@@ -216,7 +216,7 @@ class Session:
 
     def on_goal(self, goal: GoalState) -> None:
         """Take a state of the stream from the executor."""
-        self._received_at = time.monotonic()
+        self._received_at = clock.monotonic()
         self._clock.receive(goal, self._received_at)
         self._goal = goal
         self._held = goal.status == "paused"
@@ -233,14 +233,14 @@ class Session:
 
     def on_speed(self, state: ExecutorState) -> None:
         """Take the robot's share of the planned speed."""
-        self._clock.set_speed(state.speed_scale, time.monotonic())
+        self._clock.set_speed(state.speed_scale, clock.monotonic())
 
     def state(self) -> ServoSession:
         """The session's current state."""
         snapshot = self._snapshot
         limitation = snapshot.limitation
         position = self._measured_position()
-        near = self._scene.nearby(position, time.monotonic(), self._clock.scale)
+        near = self._scene.nearby(position, clock.monotonic(), self._clock.scale)
         link, other = limitation.pair or (None, None)
         took = list(self._took)
         return ServoSession(
@@ -291,16 +291,16 @@ class Session:
     def _run(self) -> None:
         ask_for_realtime(_PRIORITY)
         try:
-            due = time.monotonic()
+            due = clock.monotonic()
             while self._goes_on():
-                time.sleep(max(0.0, due - time.monotonic()))
-                now = time.monotonic()
+                clock.sleep(max(0.0, due - clock.monotonic()))
+                now = clock.monotonic()
                 self._cycles += 1
                 if now - due > _LATE_CYCLE:
                     self._late += 1
                     self._metrics.count("zarm_servo_late_cycles", "Cycles of sessions that began more than 2 ms late.")
                 self._cycle(now)
-                took = time.monotonic() - now
+                took = clock.monotonic() - now
                 self._took.append(took)
                 self._metrics.time("zarm_servo_cycle_seconds", "How long cycles of sessions took.", took)
                 due = max(due + (_CATCH_UP_PERIOD if self._behind(now) else PERIOD), now)
@@ -313,7 +313,7 @@ class Session:
         goal = self._goal
         if self._held or (goal is not None and goal.done):
             return False
-        if time.monotonic() - self._received_at > _EXECUTOR_TIMEOUT:
+        if clock.monotonic() - self._received_at > _EXECUTOR_TIMEOUT:
             log.warning("the executor reports nothing about the session goal_id=%s", self.goal_id)
             return False
         return not self._closing or self._snapshot.moving
@@ -358,7 +358,7 @@ class Session:
         return True
 
     def _step(self, target: Target | None, age: float | None, coming: float) -> None:
-        now, scale = time.monotonic(), self._clock.scale
+        now, scale = clock.monotonic(), self._clock.scale
         around = self._scene.around(now, coming + self._delay + self._lag.seconds, scale)
         step = None
         if not self._closing:
@@ -370,7 +370,7 @@ class Session:
         before = self._snapshot.limitation
         moving = bool(np.abs(step.state[1]).max() > _MOVING_SPEED)
         self._snapshot = Snapshot(step.limitation, target, age, moving)
-        now = time.monotonic()
+        now = clock.monotonic()
         if (before.kind, before.pair) != (
             step.limitation.kind,
             step.limitation.pair,
@@ -389,7 +389,7 @@ class Session:
         self, start: float, trajectory: TimedTrajectory, *, deadline: float = DEADLINE, last: bool = False
     ) -> None:
         self._sequence += 1
-        self._sent_at = time.monotonic()
+        self._sent_at = clock.monotonic()
         self._ends[self._sequence] = self._streamed.time, self._controller.state
         if len(self._ends) > _CHUNKS_KEPT:
             self._ends.popitem(last=False)
@@ -410,8 +410,8 @@ class Session:
         goal = self._goal
         if not self._held and not (goal is not None and goal.done):
             self._put(*self._streamed.chunk(), last=True)
-            deadline = time.monotonic() + _REST_TIMEOUT
-            while not (self._goal is not None and self._goal.done) and time.monotonic() < deadline:
+            deadline = clock.monotonic() + _REST_TIMEOUT
+            while not (self._goal is not None and self._goal.done) and clock.monotonic() < deadline:
                 self._reported.clear()
                 self._reported.wait(0.1)
         goal = self._goal

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import secrets
 import threading
-import time
 from collections import deque
 
 import numpy as np
@@ -24,6 +23,7 @@ from zarm_contract.messages import (
     ServoStart,
     ServoTarget,
 )
+from zarm_runtime import clock
 from zarm_servo.tracking.session import Session, SessionConfig
 from zarm_trajectory.arrays import Array
 
@@ -70,7 +70,7 @@ class Sessions:
                 log.info("session taken over goal_id=%s", before.goal_id)
                 before.close()
             executor = self._free_executor()
-            if self._config.world.scene.snapshot(time.monotonic()).revision is None:
+            if self._config.world.scene.snapshot(clock.monotonic()).revision is None:
                 raise Unavailable(
                     "the scene is unknown, so collisions could not be avoided; start the planner, then start the session again"
                 )
@@ -91,7 +91,7 @@ class Sessions:
 
     def on_target(self, _key: str, payload: bytes) -> None:
         """Take a live target; those of other sessions are ignored."""
-        now, session = time.monotonic(), self._open()
+        now, session = clock.monotonic(), self._open()
         if session is None:
             return
         try:

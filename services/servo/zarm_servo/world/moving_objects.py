@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -17,6 +16,7 @@ from zarm_geometry import packed_shapes
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.situation import MovingObject
 from zarm_geometry.world import convex_shapes
+from zarm_runtime import clock
 from zarm_servo.refusal import Refusal
 from zarm_servo.world.scene_monitor import SceneMonitor, SceneSnapshot
 
@@ -100,7 +100,7 @@ class MovingObjects:
 
     def receive(self, key: str, payload: bytes) -> None:
         """Take a message on the key of an object's pose."""
-        self.update_object(key.split("/")[-2], payload, time.monotonic(), time.time())
+        self.update_object(key.split("/")[-2], payload, clock.monotonic(), clock.unix_time())
 
     def update_object(self, name: str, payload: bytes, now: float, wall: float) -> None:
         """Take a pose of the object `name`, unless it is refused, at `now` (s, monotonic) or `wall` (s, Unix time)."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -15,6 +14,7 @@ from zarm_contract.messages import ExecutorState, GoalState, GoalTrajectory, Joi
 from zarm_geometry.gripper_openings import GripperOpenings
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.voxel_blocks import VoxelBlocks
+from zarm_runtime import clock
 from zarm_runtime.bus import Bus, Latest
 from zarm_runtime.worker import Worker
 from zarm_servo.world.moving_objects import MovingObjects
@@ -72,7 +72,7 @@ class WorldMonitor:
 
     def _on_object(self, key: str, payload: bytes) -> None:
         try:
-            self.scene.on_object(_OBJECT.validate_json(payload[: Message.max_bytes]), time.monotonic())
+            self.scene.on_object(_OBJECT.validate_json(payload[: Message.max_bytes]), clock.monotonic())
         except ValidationError as error:
             log.warning("dropped a message key=%s reason=%s", key, error.errors()[0]["msg"])
 
