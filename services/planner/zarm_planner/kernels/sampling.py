@@ -15,7 +15,9 @@ from zarm_planner.kernels.ramps import Ramps
 from zarm_trajectory.arrays import Array
 
 CLOSE = 1e-4
-"""Seconds; samples are further apart than this, so that dividing by the cube of the difference is safe."""
+"""Samples are further apart than this (s; in a motion of more than 1 s, this share of it), so that what is left of rounded positions, divided by the cube
+of the difference, is far below the jerk of the motion.
+"""
 
 
 @brief
@@ -42,9 +44,9 @@ def knots(ramps: Ramps, count: int, window: float, begin: float, fastest: Array,
                 n += 4
     times = np.sort(found[:n])
     last = times[n - 1]
-    kept, times[0] = 1, 0.0
+    kept, times[0], close = 1, 0.0, CLOSE * max(1.0, last)
     for k in range(n):
-        if times[k] > times[kept - 1] + CLOSE:
+        if times[k] > times[kept - 1] + close:
             times[kept] = times[k]
             kept += 1
     kept = max(kept, 2)
