@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 from zarm_trajectory.arrays import Array
 
@@ -104,6 +105,33 @@ def toppra_time(motion: TimedTrajectory, limits: Limits, dynamics: Dynamics) -> 
     return float("nan") if speed is None else float((2.0 * np.diff(grid) / (speed[1:] + speed[:-1])).sum())
 
 
+class Outcome(NamedTuple):
+    """Of each problem solved both ways how long the plan took and how long its motion lasts (s), without and with the mass; the
+    numbers of motions that need more than an effort, and of problems solved.
+    """
+
+    times: list[tuple[float, float]]
+    lasts: list[tuple[float, float]]
+    over: list[int]
+    solved: list[int]
+
+    @classmethod
+    def of(cls, parts: list[Outcome]) -> Outcome:
+        """All of them together."""
+        over, solved = (np.sum([getattr(part, name) for part in parts], axis=0).tolist() for name in ("over", "solved"))
+        return cls([t for part in parts for t in part.times], [t for part in parts for t in part.lasts], over, solved)
+
+    def cells(self) -> tuple[str, ...]:
+        """A row of the table."""
+        took, lasts = np.array(self.times), np.array(self.lasts)
+        ratio = lasts[:, 1] / lasts[:, 0]
+        return (
+            f"{self.solved[0]}, {self.solved[1]}", f"{1e3 * np.median(took[:, 1]):.1f}",
+            f"{np.median(took[:, 1] / took[:, 0]):.2f}", f"{lasts[:, 1].mean():.2f}",
+            f"{ratio.mean():.3f}, {np.percentile(ratio, 95):.2f}", f"{self.over[0]} / {len(took)}", str(self.over[1]),
+        )  # fmt: skip
+
+
 def random_paths(count: int, mass: float) -> Table:
     """Motions through three random configurations, carrying a mass."""
     dynamics, limits, rng = carrying(mass), Limits.of(PANDA), np.random.default_rng(0)
@@ -157,8 +185,9 @@ def main() -> None:
         "over before",
         "over",
     )
+    outcomes = []
     for scene in motion_bench.SCENES:
-        pairs, times, over, solved = [], [], [0, 0], [0, 0]
+        found = Outcome([], [], [0, 0], [0, 0])
         with tempfile.TemporaryDirectory() as folder:
             handlers = Handlers(MODEL, "panda", SceneStore(Path(folder)), lambda: HOME)
             handlers.warm_up(lambda _: None)
@@ -180,21 +209,17 @@ def main() -> None:
                     loaded = handlers.scenes.present(0.0).exact.model.dynamics
                     handlers.edit(SceneEdit(edit=DetachObject(op="detach", name="mass", joints=tuple(HOME.tolist()))))
                 (light, quick), (heavy, took) = plans
-                solved[0] += light is not None
-                solved[1] += heavy is not None
+                found.solved[0] += light is not None
+                found.solved[1] += heavy is not None
                 if light is None or heavy is None or loaded is None:
                     continue
-                times.append((quick, took))
-                pairs.append((light.trajectory.time[-1], heavy.trajectory.time[-1]))
-                over[0] += worst(light, loaded) > 1.0
-                over[1] += worst(heavy, loaded) > 1.0
-        took, lasts = np.array(times), np.array(pairs)
-        ratio = lasts[:, 1] / lasts[:, 0]
-        table.add_row(
-            scene, f"{solved[0]}, {solved[1]}", f"{1e3 * np.median(took[:, 1]):.1f}",
-            f"{np.median(took[:, 1] / took[:, 0]):.2f}", f"{lasts[:, 1].mean():.2f}",
-            f"{ratio.mean():.3f}, {np.percentile(ratio, 95):.2f}", f"{over[0]} / {len(pairs)}", str(over[1]),
-        )  # fmt: skip
+                found.times.append((quick, took))
+                found.lasts.append((light.trajectory.time[-1], heavy.trajectory.time[-1]))
+                found.over[0] += worst(light, loaded) > 1.0
+                found.over[1] += worst(heavy, loaded) > 1.0
+        outcomes.append(found)
+        table.add_row(scene, *found.cells())
+    table.add_row("all", *Outcome.of(outcomes).cells())
     console = Console(width=160)
     console.print(table)
     console.print(random_paths(arguments.paths, arguments.mass))
