@@ -100,8 +100,8 @@ class ExecutionSettings(Section):
     """How a fault is left. `latch`: by `reset` alone. `clear_at_rest`: also by the next goal, once the robot rests and reports its joints. A robot that did not stop when it was told to needs a `reset` either way."""
 
     joint_dynamics: StatedJointDynamics | None = None
-    """The friction of the joints and the inertia of their motors, which count as what a motion needs. Left out: they count as torque from
-    outside, and `external_torque_limits` have to be wider than they are."""
+    """The friction of the joints and the inertia of their motors, which count as what a motion needs: plans keep the efforts with them, and inverse
+    dynamics includes them. Left out: they count as torque from outside, and `external_torque_limits` have to be wider than they are."""
     external_torque_limits: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=64)] | None = None
     """How much the measured effort of each joint may differ from what its motion needs (Nm; N if prismatic): beyond that something pushes the robot,
     and the motion ends in a fault. The servo compares them; it needs the inertia of each link in the URDF, and a driver that reports

@@ -1,14 +1,19 @@
-"""How heavy a robot is, and the torques that its motions need."""
+"""How heavy a robot is, and the torques that its motions need.
+
+With q'' the acceleration and q' the velocity, a motion needs the torque of the links by the recursive Newton-Euler algorithm, and at
+each joint armature q'' + damping q' + friction sign(q').
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from zarm_contract.descriptor import StatedJointDynamics
 from zarm_contract.messages import Attached, Capsule, Cuboid, Cylinder, Mesh, SceneObject, Sphere, Voxels
 from zarm_contract.robot import RobotDescription
 from zarm_contract.urdf import Inertial
@@ -100,10 +105,28 @@ def weights_of_payloads(robot: RobotDescription) -> Iterator[Weight]:
             yield Weight(descriptor.joints.index(passed[-1][0]), payload.mass, center, np.zeros((3, 3)))
 
 
+class JointDynamics(NamedTuple):
+    """Coulomb `friction` (dof,) in Nm, `damping` (dof,) in Nm s/rad, and `armature` (dof,) in kg m²; N, N s/m and kg if prismatic."""
+
+    friction: Array
+    damping: Array
+    armature: Array
+
+    @classmethod
+    def of(cls, stated: StatedJointDynamics) -> Self:
+        """What a descriptor states."""
+        return cls(np.array(stated.friction), np.array(stated.damping), np.array(stated.armature))
+
+    def torque(self, direction: Array, velocity: Array, acceleration: Array) -> Array:
+        """The torques (n, dof) of joints that move in a `direction` (n, dof) from -1 to 1, with velocity and acceleration (n, dof)."""
+        needed: Array = self.friction * direction + self.damping * velocity + self.armature * acceleration
+        return needed
+
+
 @dataclass(frozen=True)
 class Dynamics:
     """The tree of a robot's joints with what each carries, see `kernels.dynamics.torques`, and the largest torques `limit` (dof,):
-    Nm, N if prismatic, infinite where it is unknown.
+    Nm, N if prismatic, infinite where it is unknown; and what is known of the `joints`.
     """
 
     tree: JointTree
@@ -111,9 +134,10 @@ class Dynamics:
     center: Array
     inertia: Array
     limit: Array
+    joints: JointDynamics | None = None
 
     @classmethod
-    def of(cls, tree: JointTree, weights: Iterable[Weight], limit: Array) -> Self:
+    def of(cls, tree: JointTree, weights: Iterable[Weight], limit: Array, joints: JointDynamics | None = None) -> Self:
         """Join what is carried by the same joint."""
         dof = len(limit)
         parts: list[list[Weight]] = [[] for _ in range(dof)]
@@ -128,39 +152,60 @@ class Dynamics:
             for weight in carried:
                 away = weight.center - center[j]
                 inertia[j] += weight.inertia + weight.mass * (away @ away * np.eye(3) - np.outer(away, away))
-        return cls(tree, mass, center, inertia, limit)
+        return cls(tree, mass, center, inertia, limit, joints)
 
     def torque(self, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
         """The torques (n, dof) of a motion (n, dof) in rad, rad/s and rad/s²."""
-        q, v, a = (np.ascontiguousarray(each, dtype=float) for each in (position, velocity, acceleration))
+        q, v, a = self._positions(position), self._rates(velocity), self._rates(acceleration)
         out = np.empty_like(q)
         tree = self.tree
         torques(tree.table, tree.origin, self.mass, self.center, self.inertia, q, v, a, out)
-        return out
+        return out if self.joints is None else out + self.joints.torque(np.sign(v), v, a)
 
     def holding(self, position: ArrayLike) -> Array:
         """The torques (n, dof) that hold the robot still at `position` (n, dof)."""
         still = np.zeros_like(np.asarray(position, dtype=float))
         return self.torque(position, still, still)
 
+    def resistance(self, velocity: ArrayLike) -> Array:
+        """The torques (n, dof) of friction and damping at `velocity` (n, dof)."""
+        v = self._rates(velocity)
+        return np.zeros_like(v) if self.joints is None else self.joints.torque(np.sign(v), v, np.zeros_like(v))
+
+    def of_links(self) -> Self:
+        """The torques that the links need, without the friction and the armature of the joints."""
+        return replace(self, joints=None)
+
+    def _positions(self, given: ArrayLike) -> Array:
+        """Positions (n, dof) of all joints."""
+        return np.ascontiguousarray(given, dtype=float)
+
+    def _rates(self, given: ArrayLike) -> Array:
+        """Velocities or accelerations (n, dof) of all joints."""
+        return np.ascontiguousarray(given, dtype=float)
+
     def of_group(self, joints: Indices, standing: Array) -> GroupDynamics:
         """Those of motions of some `joints` (n,), while the others stand as in `standing` (dof,)."""
-        return GroupDynamics(self.tree, self.mass, self.center, self.inertia, self.limit, joints, standing)
+        return GroupDynamics(
+            self.tree, self.mass, self.center, self.inertia, self.limit, self.joints, moving=joints, standing=standing
+        )
 
 
 @dataclass(frozen=True)
 class GroupDynamics(Dynamics):
-    """The torques of all joints, (n, dof), in motions of some `joints` (n, len(joints)), while the others stand as in `standing` (dof,) and hold what moves."""
+    """The torques of all joints, (n, dof), in motions (n, len(moving)) of some joints `moving`, while the others stand as in `standing` (dof,) and hold what moves."""
 
-    joints: Indices
-    standing: Array
+    moving: Indices = field(kw_only=True)
+    standing: Array = field(kw_only=True)
 
-    def torque(self, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
-        """The torques (n, dof) of a motion (n, len(joints)) in rad, rad/s and rad/s²."""
-        still = np.zeros_like(self.standing)
-        whole = []
-        for moving, at_rest in ((position, self.standing), (velocity, still), (acceleration, still)):
-            columns = np.tile(at_rest, (len(np.asarray(moving)), 1))
-            columns[:, self.joints] = moving
-            whole.append(columns)
-        return super().torque(*whole)
+    def _positions(self, given: ArrayLike) -> Array:
+        return self._whole(given, self.standing)
+
+    def _rates(self, given: ArrayLike) -> Array:
+        return self._whole(given, np.zeros_like(self.standing))
+
+    def _whole(self, given: ArrayLike, at_rest: Array) -> Array:
+        rows = np.asarray(given, dtype=float)
+        columns: Array = np.tile(at_rest, (len(rows), 1))
+        columns[:, self.moving] = rows
+        return columns

@@ -17,7 +17,7 @@ from zarm_contract.messages import Attached, tools_of
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.allowed_collisions import Pairs, link_bits, partners
 from zarm_geometry.body import Body, along, attached_body, bounding_ball, link_body
-from zarm_geometry.dynamics import Dynamics, Weight, weights_of, weights_of_load, weights_of_payloads
+from zarm_geometry.dynamics import Dynamics, JointDynamics, Weight, weights_of, weights_of_load, weights_of_payloads
 from zarm_geometry.inertia import stances, stated_limits
 from zarm_geometry.joint_tree import JointTree, Place
 from zarm_geometry.kernels.arrays import RobotArrays
@@ -412,7 +412,9 @@ class RobotModel:
             whole = self.whole.model.dynamics
             return None if whole is None else whole.of_group(self.whole.moving, self.whole.standing)
         weights = self._weights
-        return None if weights is None else Dynamics.of(self.tree, weights, self._torque_limits)
+        stated = self.robot.descriptor.execution.joint_dynamics
+        joints = None if stated is None else JointDynamics.of(stated)
+        return None if weights is None else Dynamics.of(self.tree, weights, self._torque_limits, joints)
 
     @cached_property
     def _weights(self) -> tuple[Weight, ...] | None:

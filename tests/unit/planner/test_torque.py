@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio
 import pytest
 
+from zarm_contract.descriptor import StatedJointDynamics
 from zarm_contract.errors import InvalidRequest, PlanningFailed
 from zarm_contract.messages import (
     AddObjects,
@@ -26,7 +28,7 @@ from zarm_contract.messages import (
     SceneEdit,
 )
 from zarm_contract.robot import ROBOTS, load_robot
-from zarm_geometry.dynamics import Dynamics, Weight, weights_of
+from zarm_geometry.dynamics import Dynamics, JointDynamics, Weight, weights_of
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
@@ -34,7 +36,7 @@ from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
 from zarm_planner.timing.sampling import TOLERANCE, load
 from zarm_planner.timing.smoothing import smooth_path
-from zarm_planner.timing.torque import TooFast, within_torque
+from zarm_planner.timing.torque import TooFast, TooHeavy, within_torque
 from zarm_trajectory.arrays import Array
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -114,7 +116,7 @@ def test_what_is_heavy_is_carried_more_slowly_within_the_efforts(mass: float, tm
 def test_what_is_too_heavy_to_hold_is_refused_with_the_joint(tmp_path: Path) -> None:
     handlers = with_load(tmp_path, 30.0)
     with pytest.raises(
-        PlanningFailed, match=r"panda_joint\d would need \d+ Nm to stand still at .* and has \d+: .*; carry less"
+        PlanningFailed, match=r"panda_joint\d would need \d+ Nm at .*, however slow it is, and has \d+: .*; carry less"
     ):
         to_there(handlers, max_attempts=2)
 
@@ -144,6 +146,40 @@ def as_a_whole(dynamics: Dynamics, motion: TimedTrajectory) -> float:
     holding = dynamics.holding(states[0])
     moving = dynamics.torque(*states) - holding
     return float(np.sqrt(np.abs(moving) / (dynamics.limit - np.sign(moving) * holding)).max())
+
+
+JOINTS = StatedJointDynamics(
+    friction=(6.0, 6.0, 5.0, 5.0, 1.0, 1.0, 0.8), damping=(3.0, 3.0, 2.0, 2.0, 0.4, 0.4, 0.3), armature=(0.3,) * 7
+)
+"""Joints of a Panda that lose a tenth of their efforts."""
+
+
+def stiff_panda() -> RobotModel:
+    """The Panda, its descriptor with the dynamics of its joints."""
+    execution = PANDA.descriptor.execution.model_copy(update={"joint_dynamics": JOINTS})
+    return RobotModel.of(replace(PANDA, descriptor=PANDA.descriptor.model_copy(update={"execution": execution})))
+
+
+def test_friction_damping_and_armature_count_as_torque() -> None:
+    dynamics = stiff_panda().dynamics
+    assert dynamics is not None
+    for seed in range(40):
+        motion, limits = between(MODEL, seed)
+        slower, use = within_torque(dynamics, motion, limits)
+        states = slower.sample(np.arange(0.0, slower.duration, 0.001))
+        of_joints = np.array(JOINTS.friction) * np.sign(states[1]) + JOINTS.damping * states[1]
+        needed = inverse(1e-9, states) + of_joints + JOINTS.armature * states[2]
+        share = float((np.abs(needed) / dynamics.limit).max())
+        assert share <= 1.0
+        assert use.share == pytest.approx(share, abs=5e-3)
+
+
+def test_what_friction_holds_fast_is_refused() -> None:
+    joints = JOINTS.model_copy(update={"friction": (90.0, *JOINTS.friction[1:])})
+    stuck = replace(loaded(MODEL, 1.0), joints=JointDynamics.of(joints))
+    motion, limits = between(MODEL, 0)
+    with pytest.raises(TooHeavy, match=r"would need \d+ Nm at .* however slow it is, and has 87"):
+        within_torque(stuck, motion, limits)
 
 
 @pytest.mark.parametrize(("name", "mass"), [("panda", 3.0), ("ur5e", 6.0), ("ur10e", 12.5)])

@@ -34,6 +34,8 @@ _STATE_TOLERANCE = 1e-9
 """Largest difference between two equal states."""
 _SMALL = 1e-9
 """A torque (Nm) that counts as 0."""
+_SLOW = 1e-9
+"""The share of a motion's velocity at which it counts as slow as can be: there is no damping, but there is friction."""
 
 
 class TooHeavy(Exception):
@@ -73,18 +75,20 @@ def within_torque(
     use = looks.largest(limit)
     if use.share <= _TORQUE_SHARE:
         return motion, use
-    holding = looks.holding(dynamics)
-    held = _largest(looks.times, holding, limit)
-    if held.share >= _TORQUE_SHARE:
-        raise TooHeavy(
-            held.joint,
-            f"would need {held.share * limit[held.joint]:.0f} Nm to stand still at {held.time:.2f} s of the trajectory, and has "
-            f"{limit[held.joint]:.0f}: the robot carries too much",
-        )
-    room = (_SHARE_BEGUN if begun else _TORQUE_SHARE) * limit
     position, velocity, _ = looks.states[:, :, joints]
+    holding = dynamics.holding(position)
+    slowest = _largest(looks.times, holding + dynamics.resistance(_SLOW * velocity), limit)
+    if slowest.share >= _TORQUE_SHARE:
+        raise TooHeavy(
+            slowest.joint,
+            f"would need {slowest.share * limit[slowest.joint]:.0f} Nm at {slowest.time:.2f} s of the trajectory, however slow it is, and has "
+            f"{limit[slowest.joint]:.0f}: the robot carries too much",
+        )
+    steady = holding + dynamics.resistance(velocity)
+    room = (_SHARE_BEGUN if begun else _TORQUE_SHARE) * limit
     inert = dynamics.torque(position, np.zeros_like(velocity), velocity) - holding
-    needs = np.stack((looks.torque - holding, inert, -room - holding, room - holding))
+    least, most = np.minimum(-room - steady, -_SMALL), np.maximum(room - steady, _SMALL)
+    needs = np.stack((looks.torque - steady, inert, least, most))
     slower = paced(motion, looks.times, looks.states, needs, limits)
     at_last = _Looks.at(dynamics, slower, joints, _VERIFIED)
     stretch = max(at_last.stretch(dynamics), load(slower.columns(joints), limits))
@@ -123,27 +127,29 @@ class _Looks(NamedTuple):
         states = motion.sample(times)
         return cls(times, states, joints, dynamics.torque(*states[:, :, joints]))
 
-    def holding(self, dynamics: Dynamics) -> Array:
-        """What of the torque (n, dof) holds the robot."""
-        return dynamics.holding(self.states[0][:, self.joints])
+    def steady(self, dynamics: Dynamics) -> Array:
+        """What of the torque (n, dof) does not fall with the square of the speed."""
+        position, velocity, _ = self.states[:, :, self.joints]
+        return dynamics.holding(position) + dynamics.resistance(velocity)
 
     def largest(self, limit: Array) -> TorqueUse:
         """The use of the largest torques `limit` (dof,)."""
         return _largest(self.times, self.torque, limit)
 
     def slower(self, factor: float, dynamics: Dynamics) -> Array:
-        """The torque if the motion takes `factor` times as long: what speed and acceleration need falls with its square."""
-        holding = self.holding(dynamics)
-        return np.asarray(holding + (self.torque - holding) / factor**2)
+        """The torque if the motion takes `factor` times as long, at most: what is not steady falls with its square."""
+        steady = self.steady(dynamics)
+        return np.asarray(steady + (self.torque - steady) / factor**2)
 
     def stretch(self, dynamics: Dynamics) -> float:
         """How many times as long, at least once, the motion must take to keep the largest torques."""
         over = (np.abs(self.torque) > _TORQUE_SHARE * dynamics.limit).any(axis=1)
         if not over.any():
             return 1.0
-        holding = dynamics.holding(self.states[0, over][:, self.joints])
-        moving = self.torque[over] - holding
-        room = np.maximum(_TORQUE_SHARE * dynamics.limit - np.sign(moving) * holding, _SMALL)
+        position, velocity, _ = self.states[:, over][:, :, self.joints]
+        steady = dynamics.holding(position) + dynamics.resistance(velocity)
+        moving = self.torque[over] - steady
+        room = np.maximum(_TORQUE_SHARE * dynamics.limit - np.sign(moving) * steady, _SMALL)
         return max(1.0, float(np.sqrt((np.abs(moving) / room).max())))
 
 

@@ -22,7 +22,7 @@ from zarm_contract.messages import JointDynamics as JointDynamicsMessage
 from zarm_geometry.dynamics import Dynamics
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime import clock
-from zarm_servo.guarding.joint_dynamics import Identification, JointDynamics, Moving
+from zarm_servo.guarding.joint_dynamics import Identification, Moving, unexplained
 from zarm_servo.world.scene_monitor import SceneMonitor
 from zarm_trajectory.arrays import Array
 
@@ -65,7 +65,6 @@ class CollisionDetection:
         self._joints = descriptor.joints
         limits = descriptor.execution.external_torque_limits
         self._limits = None if limits is None else np.array(limits)
-        self._joint_dynamics = JointDynamics.of(descriptor)
         self.identification = Identification(self._joints)
         self._attached: tuple[Attached, ...] = ()
         self._dynamics: Dynamics | None = model.dynamics
@@ -143,12 +142,12 @@ class CollisionDetection:
         first, last = samples[0], samples[-1]
         acceleration = (last.velocity - first.velocity) / (last.stamp - first.stamp)
         position, velocity = 0.5 * (first.position + last.position), 0.5 * (first.velocity + last.velocity)
-        needed: Array = dynamics.torque(position[None], velocity[None], acceleration[None])[0]
+        needed: Array = dynamics.of_links().torque(position[None], velocity[None], acceleration[None])[0]
         exerted = sum(sample.effort for sample in list(samples)[1:]) / (len(samples) - 1)
         moving, excess = Moving.over(np.array([sample.velocity for sample in samples]), acceleration), exerted - needed
         if self._goal_id is not None:
             self.identification.add(moving, excess)
-        return -self._joint_dynamics.unexplained(excess, moving)
+        return -unexplained(dynamics.joints, excess, moving)
 
     def _judge(self, torque: Array, stamp: float) -> None:
         self._largest = np.maximum(self._largest, np.abs(torque))

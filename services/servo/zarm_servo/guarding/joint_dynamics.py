@@ -6,9 +6,9 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from zarm_contract.descriptor import RobotDescriptor
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointDynamics as JointDynamicsMessage
+from zarm_geometry.dynamics import JointDynamics
 from zarm_trajectory.arrays import Array, Single
 
 _SLIDING_VELOCITY = 0.05
@@ -41,28 +41,15 @@ class Moving(NamedTuple):
         )
 
 
-class JointDynamics(NamedTuple):
-    """Coulomb `friction` (J,) in Nm, `damping` (J,) in Nm s/rad, and `armature` (J,) in kg m²; N, N s/m and kg if prismatic."""
-
-    friction: Array
-    damping: Array
-    armature: Array
-
-    @classmethod
-    def of(cls, descriptor: RobotDescriptor) -> Self:
-        """What a descriptor states, else none."""
-        stated, none = descriptor.execution.joint_dynamics, np.zeros(len(descriptor.joints))
-        if stated is None:
-            return cls(none, none, none)
-        return cls(np.array(stated.friction), np.array(stated.damping), np.array(stated.armature))
-
-    def unexplained(self, excess: Array, moving: Moving) -> Array:
-        """The part (J,) of `excess` (J,), measured effort less the inverse dynamics of the links, that the joints do not explain: the smallest for any sign of
-        the uncertain friction."""
-        needed = self.friction * moving.direction + self.damping * moving.velocity + self.armature * moving.acceleration
-        rest, unsure = excess - needed, self.friction * (1.0 - moving.sure)
-        remaining: Array = rest - np.clip(rest, -unsure, unsure)
-        return remaining
+def unexplained(joints: JointDynamics | None, excess: Array, moving: Moving) -> Array:
+    """The part (J,) of `excess` (J,), measured effort less the inverse dynamics of the links, that the joints do not explain: the smallest for any sign of
+    the uncertain friction."""
+    if joints is None:
+        return excess
+    rest = excess - joints.torque(moving.direction, moving.velocity, moving.acceleration)
+    unsure = joints.friction * (1.0 - moving.sure)
+    remaining: Array = rest - np.clip(rest, -unsure, unsure)
+    return remaining
 
 
 class Identification:
@@ -88,7 +75,7 @@ class Identification:
         moving, excess = Moving(*(states[:, k] for k in range(4))), states[:, 4]
         terms = np.stack((moving.direction, moving.velocity, moving.acceleration), axis=-1)
         fitted = JointDynamics(*np.array([_fitted(terms[:, j], excess[:, j]) for j in range(len(self._joints))]).T)
-        largest = np.abs(fitted.unexplained(excess, moving)).max(axis=0)
+        largest = np.abs(unexplained(fitted, excess, moving)).max(axis=0)
         friction, damping, armature, rest = (tuple(np.round(each, 3).tolist()) for each in (*fitted, largest))
         return JointDynamicsMessage(
             joint_names=self._joints,
