@@ -11,7 +11,7 @@ import pytest
 
 from support.arrivals import arrival
 from support.executor.driven import FAR, LIMIT
-from support.executor.driver_bench import MOVING, Case, DriverBench, distance_from
+from support.executor.driver_bench import JOINTS, MOVING, Case, DriverBench, distance_from
 from support.executor.waves import target
 from support.tiers import sampled
 from support.trajectories import HOME, rest_to_rest, trapezoid
@@ -450,6 +450,33 @@ class Slowly(JointSpeed):
 
     def start(self, path: TimedTrajectory, speed: float) -> None:
         super().start(path, speed / 2)
+
+
+def around_a_corner(goal: np.ndarray, start: np.ndarray) -> Trajectory:
+    """Some joints move first, and the others before these have come to rest."""
+    first = np.array([1.0, 0.0, 1.0, 0.0, 1.0, 0.0]) * (goal - start)
+    legs = [TimedTrajectory.of(rest_to_rest(leg, np.zeros(6)), JOINTS) for leg in (first, goal - start - first)]
+    overlap = 0.5 * legs[0].duration
+    time = np.linspace(0.0, overlap + legs[1].duration, 400)
+    begins = (0.0, overlap)
+    states = []
+    for leg, begin in zip(legs, begins, strict=True):
+        state = leg.sample(np.clip(time - begin, 0.0, leg.duration))
+        state[1:, (time < begin) | (time > begin + leg.duration)] = 0.0
+        states.append(state)
+    position, velocity, acceleration = states[0] + states[1]
+    return TimedTrajectory(time, position + start, velocity, acceleration).message(JOINTS)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.02, 0.12])
+def test_a_driver_with_another_delay_stays_on_its_path(delay: float, tmp_path: Folder) -> None:
+    """Corrected towards where it should have been at a wrong time, a robot would cut corners by 15 mrad."""
+    bench = DriverBench(Case("joint_speed", params=(("delay", delay),)), tmp_path)
+    path = bench.execute(timed=around_a_corner)
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+    assert max(distance_from(path, position) for position in bench.positions) < 0.004
+    np.testing.assert_allclose(bench.positions[-1], path.end, atol=0.005)
 
 
 def test_a_new_strategy_is_a_module_and_a_line_in_the_list(tmp_path: Folder, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,8 +1,10 @@
 """The strategy that streams velocities and closes the loop with the measured joints.
 
-velocity = planned + gain * (planned position - measured position), both at the moment at which the joints were
-measured, then clamped. The robot integrates velocities, so the error e obeys de/dt = -gain * e: it decays at that rate
-instead of adding up, slowly enough for the loop's dead time (`strategy_params.gain` has the bound).
+velocity = planned + gain * (planned position - measured position), then clamped. The robot integrates velocities, so the error e obeys
+de/dt = -gain * e: it decays at that rate instead of adding up, slowly enough for the loop's dead time (`strategy_params.gain` has the bound).
+
+The planned position is the nearest one of those commanded within twice the `delay`, at least `LONGEST_DELAY`, before the joints were measured: a
+robot that reacts sooner or later than the descriptor says is late on its path, and is not drawn off it. At the end it is the end.
 """
 
 from __future__ import annotations
@@ -15,6 +17,8 @@ from zarm_trajectory.arrays import Array
 from zarm_trajectory.retimed import RetimedTrajectory
 from zarm_trajectory.trajectory import TimedTrajectory
 
+LONGEST_DELAY = 0.12
+"""A delay (s) that a driver may have, whatever the descriptor says."""
 ARRIVED = 0.002
 """At the end of a path, the robot is corrected until every joint is this close to it (rad); 0.005 is promised."""
 
@@ -84,11 +88,16 @@ class JointSpeed(Streaming):
         return follower is None or (follower.target == 0.0 and follower.settled)
 
     def _error(self, now: float) -> Array | None:
-        """Commanded minus measured position (J,); None if the joints are too old or too far off for a correction."""
+        """Planned minus measured position (J,); None if the joints are too old or too far off for a correction."""
         measured, execution = self.link.measured(), self.link.execution
         if measured is None or now - measured.time > execution.joint_state_timeout:
             return None
-        error: Array = self._reference.at(measured.time - self._delay).position - measured.position
+        if (follower := self._follower) is not None and follower.finished and self._caught_up():
+            planned = follower.position
+        else:
+            delay = max(2.0 * self._delay, LONGEST_DELAY)
+            planned = self._reference.nearest(measured.position, measured.time - delay, measured.time)
+        error: Array = planned - measured.position
         return error if np.all(np.abs(error) <= execution.path_tolerance) else None
 
     def _lead(self, now: float, error: Array | None) -> None:

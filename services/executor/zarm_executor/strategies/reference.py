@@ -6,6 +6,8 @@ from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
 
+import numpy as np
+
 from zarm_trajectory.arrays import Array
 from zarm_trajectory.follower import Follower
 
@@ -33,6 +35,17 @@ class Reference:
         self._past.append(Commanded(now, follower.time, speed, follower.position))
         while len(self._past) > 1 and self._past[1].now < now - self._memory:
             self._past.popleft()
+
+    def nearest(self, position: Array, first: float, last: float) -> Array:
+        """The commanded position (J,) from the moment `first` to `last` that is nearest to `position` (J,)."""
+        between = [one.position for one in self._past if first < one.now < last]
+        ways = np.array([self.at(first).position, *between, self.at(last).position])
+        steps, away = np.diff(ways, axis=0), position - ways[:-1]
+        squares = np.einsum("ij,ij->i", steps, steps)
+        share = np.einsum("ij,ij->i", away, steps) / np.where(squares > 0.0, squares, 1.0)
+        points = ways[:-1] + steps * np.clip(share, 0.0, 1.0)[:, None]
+        nearest: Array = points[np.square(points - position).sum(axis=1).argmin()]
+        return nearest
 
     def at(self, moment: float) -> Commanded:
         """The command at that moment; outside the recorded time, the first or last one."""
