@@ -11,6 +11,9 @@ import numpy as np
 from zarm_trajectory.arrays import Array
 from zarm_trajectory.follower import Follower
 
+_SMALL = 1e-18
+"""The square of a way (rad²) that is none."""
+
 
 @dataclass(frozen=True, slots=True)
 class Commanded:
@@ -37,14 +40,15 @@ class Reference:
             self._past.popleft()
 
     def nearest(self, position: Array, first: float, last: float) -> Array:
-        """The commanded position (J,) from the moment `first` to `last` that is nearest to `position` (J,)."""
-        between = [one.position for one in self._past if first < one.now < last]
-        ways = np.array([self.at(first).position, *between, self.at(last).position])
-        steps, away = np.diff(ways, axis=0), position - ways[:-1]
+        """The commanded position (J,) about from the moment `first` to `last` that is nearest to `position` (J,)."""
+        ways = np.array([one.position for one in self._past if first <= one.now <= last])
+        if len(ways) < 2:
+            return self.at(last).position
+        steps, away = ways[1:] - ways[:-1], position - ways[:-1]
         squares = np.einsum("ij,ij->i", steps, steps)
-        share = np.einsum("ij,ij->i", away, steps) / np.where(squares > 0.0, squares, 1.0)
-        points = ways[:-1] + steps * np.clip(share, 0.0, 1.0)[:, None]
-        nearest: Array = points[np.square(points - position).sum(axis=1).argmin()]
+        share = np.einsum("ij,ij->i", away, steps) / np.maximum(squares, _SMALL)
+        away -= steps * np.minimum(np.maximum(share, 0.0), 1.0)[:, None]
+        nearest: Array = position - away[np.einsum("ij,ij->i", away, away).argmin()]
         return nearest
 
     def at(self, moment: float) -> Commanded:
