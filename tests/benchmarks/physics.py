@@ -152,7 +152,14 @@ def measured(
 def _aside(path: TimedTrajectory, tips: Array) -> float:
     """How far (m) the tips (N, 3) are from the path of the tip."""
     places = np.array([MODEL.fk_tip(q)[:3, 3] for q in path.positions(np.linspace(0.0, path.duration, 1000))])
-    return float(max(np.linalg.norm(places - tip, axis=1).min() for tip in tips[::5]))
+    steps = np.diff(places, axis=0)
+    squares = np.maximum(np.square(steps).sum(axis=1), 1e-18)
+    worst = 0.0
+    for tip in tips[::5]:
+        away = tip - places[:-1]
+        share = np.clip((away * steps).sum(axis=1) / squares, 0.0, 1.0)
+        worst = max(worst, float(np.linalg.norm(away - share[:, None] * steps, axis=1).min()))
+    return worst
 
 
 def _acceleration(tips: Array, period: float) -> float:
