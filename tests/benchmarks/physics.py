@@ -11,7 +11,7 @@ preset of drives: planned, verified, driven by the real state machine, all on a 
 - `aside`: how far the tip is from the nearest place on its path, the worst of all motions without contact (mm);
 - `contacts`: motions in which anything touched, though the plan keeps 10 mm; `failed`: goals that did not succeed.
 
-Where there are contacts, the motions are planned again with the margin that was measured: `aside`.
+Where there are contacts, the motions are planned again with the margin that was measured, `aside`, between goals that keep it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from support.arrivals import arrival
 from support.executor.driver_bench import EVERY, JOINTS, Case, DriverBench, distance_from
 from support.trajectories import HOME, ROBOT
 from zarm_contract.errors import ZarmError
-from zarm_contract.messages import AddObjects, Cuboid, JointGoal, PlanRequest, SceneEdit
+from zarm_contract.messages import AddObjects, CheckRequest, Cuboid, JointGoal, PlanRequest, SceneEdit
 from zarm_executor.goal import Goal
 from zarm_executor.monitor import Monitor
 from zarm_geometry.robot_model import RobotModel
@@ -99,6 +99,8 @@ def measured(
         bench.run(0.5)
         while counts["plans"] < plans:
             goal = rng.uniform([-2.5, -0.8, 0.6, -1.5, -0.5, -1.5], [2.5, 0.8, 2.0, 1.5, 1.8, 1.5])
+            if margin is not None and _clearance(handlers, goal) < margin:
+                continue  # a goal that is nearer is allowed
             start = tuple(bench.positions[-1].tolist())
             try:
                 plan = handlers.plan(
@@ -147,6 +149,10 @@ def measured(
         f"{1e3 * max(aside):.1f}", f"{counts['contacts']} / {plans}", str(counts["failed"]),
     ]  # fmt: skip
     return row, counts["contacts"], max(aside)
+
+
+def _clearance(handlers: Handlers, q: Array) -> float:
+    return handlers.check(CheckRequest(joints=(tuple(q.tolist()),))).results[0].clearance
 
 
 def _aside(path: TimedTrajectory, tips: Array) -> float:
