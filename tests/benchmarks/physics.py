@@ -9,7 +9,7 @@ preset of drives: planned, verified, driven by the real state machine, all on a 
 - `late`: how much longer the motion took than planned (s, median);
 - `flange`: acceleration of the tip as felt over 20 ms, worst over planned (ratio, median);
 - `aside`: how far the tip is from the nearest place on its path, the worst of all motions without contact (mm);
-- `contacts`: motions in which anything touched, though the plan keeps 10 mm; `failed`: goals that did not succeed.
+- `contacts`: motions in which anything touched, though the plan keeps 5 mm; `failed`: goals that did not succeed.
 
 Where there are contacts, the motions are planned again with the margin that was measured, `aside`, between goals that keep it.
 """
@@ -152,7 +152,8 @@ def measured(
 
 
 def _clearance(handlers: Handlers, q: Array) -> float:
-    return handlers.check(CheckRequest(joints=(tuple(q.tolist()),))).results[0].clearance
+    """The least distance (m) of the posts from the robot's spheres."""
+    return min(handlers.check(CheckRequest(joints=(tuple(q.tolist()),), spheres=True)).results[0].spheres or (0.0,))
 
 
 def _aside(path: TimedTrajectory, tips: Array) -> float:
