@@ -158,7 +158,8 @@ def launch(
     if view is not None:
         page = ["--robot", f"{keys.robot}={find_robot(robot)}", "--connect", endpoint, "--listen", view, *folders]
         programs["viewer"] = (VIEWER, [*page, "--state", str(state)])
-    environment = {"ZARM_METRICS": "", "ZARM_SPEED": f"{speed:g}"}  # an address can be used only once
+    environment = {"ZARM_SPEED": f"{speed:g}"}
+    environment["ZARM_METRICS"] = ""  # an address can be used only once
     if ros and not any(map(os.environ.get, REACH)):
         environment[RANGE] = "LOCALHOST"  # anyone who reaches DDS can move the robot
     if sys.stderr.isatty():
