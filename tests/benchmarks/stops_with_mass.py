@@ -47,6 +47,7 @@ LINKS = tuple(ROBOT.descriptor.collision)[-4:]
 DRIVES = (
     ("ideal", "joint_trajectory"),
     ("industrial", "joint_trajectory"),
+    ("industrial", "joint_speed"),
     ("m1013", "joint_speed"),
     ("m1013", "joint_trajectory"),
     ("hobby", "joint_trajectory"),
