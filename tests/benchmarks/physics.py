@@ -8,10 +8,10 @@ preset of drives: planned, verified, driven by the real state machine, all on a 
 - `overshoot`: how much further beyond the goal a joint has been than the path is (mrad, worst);
 - `late`: how much longer the motion took than planned (s, median);
 - `flange`: acceleration of the tip as felt over 20 ms, worst over planned (ratio, median);
-- `aside`: how far the tip is from the nearest place on its path, the worst of all motions without contact (mm);
+- `tip off`: how far the tip is from the nearest place on its path, the worst of all motions without contact (mm);
 - `contacts`: motions in which anything touched, though the plan keeps 5 mm; `failed`: goals that did not succeed.
 
-Where there are contacts, the motions are planned again with the margin that was measured, `aside`, between goals that keep it.
+Where there are contacts, the motions are planned again with the margin that was measured, `tip off`, between goals that keep it.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def measured(
 ) -> tuple[list[str], int, float]:
     """A row of the table, the number of motions with a contact, and how far the tip was from its path in those without (m)."""
     rng, settings = np.random.default_rng(seed), PRESETS[preset]
-    off, end, over, late, felt, aside = [], [], [], [], [], [0.0]
+    off, end, over, late, felt, deviation = [], [], [], [], [], [0.0]
     counts: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -141,14 +141,14 @@ def measured(
             felt.append(_acceleration(np.array(tips), bench.period) / _planned(path))
             counts["contacts"] += any(touches)
             if not any(touches):
-                aside.append(_aside(path, np.array(tips)))
+                deviation.append(_tip_deviation(path, np.array(tips)))
     worst = [f"{1e3 * np.median(each):.1f} / {1e3 * max(each):.1f}" for each in (off, end)]
     kept = "" if margin is None else f", margin {1e3 * margin:.0f} mm"
     row = [
         strategy, preset + kept, *worst, f"{1e3 * max(over):.1f}", f"{np.median(late):.2f}", f"{np.median(felt):.2f}",
-        f"{1e3 * max(aside):.1f}", f"{counts['contacts']} / {plans}", str(counts["failed"]),
+        f"{1e3 * max(deviation):.1f}", f"{counts['contacts']} / {plans}", str(counts["failed"]),
     ]  # fmt: skip
-    return row, counts["contacts"], max(aside)
+    return row, counts["contacts"], max(deviation)
 
 
 def _clearance(handlers: Handlers, q: Array) -> float:
@@ -156,7 +156,7 @@ def _clearance(handlers: Handlers, q: Array) -> float:
     return min(handlers.check(CheckRequest(joints=(tuple(q.tolist()),), spheres=True)).results[0].spheres or (0.0,))
 
 
-def _aside(path: TimedTrajectory, tips: Array) -> float:
+def _tip_deviation(path: TimedTrajectory, tips: Array) -> float:
     """How far (m) the tips (N, 3) are from the path of the tip."""
     places = np.array([MODEL.fk_tip(q)[:3, 3] for q in path.positions(np.linspace(0.0, path.duration, 1000))])
     steps = np.diff(places, axis=0)
@@ -195,7 +195,7 @@ def main() -> None:
         "overshoot mrad",
         "late s",
         "flange",
-        "aside mm",
+        "tip off mm",
         "contacts",
         "failed",
     )
@@ -204,10 +204,10 @@ def main() -> None:
         for strategy in STRATEGIES:
             if strategy == "joint_pose" and settings.plays == "velocity":
                 continue
-            row, contacts, aside = measured(strategy, preset, arguments.plans, arguments.seed)
+            row, contacts, deviation = measured(strategy, preset, arguments.plans, arguments.seed)
             rows = [row]
             if contacts:
-                rows.append(measured(strategy, preset, arguments.plans, arguments.seed, margin=aside)[0])
+                rows.append(measured(strategy, preset, arguments.plans, arguments.seed, margin=deviation)[0])
             for row in rows:
                 Console(stderr=True).print(*row)
                 table.add_row(*row)

@@ -51,7 +51,7 @@ class Cell:
         if with_servo:
             started["servo"] = ()
         for service, arguments in started.items():
-            environment = {"ZARM_SPEED": speed[service]} if service in speed else {}
+            environment = {"ZARM_SIM_SPEED": speed[service]} if service in speed else {}
             process = ServiceProcess(
                 service, self.endpoint, folder, robot, arguments=arguments, environment=environment
             )
@@ -253,7 +253,7 @@ def test_a_cell_runs_faster_than_real_time(tmp_path: Path) -> None:
 def test_a_real_driver_is_never_moved_faster_than_real_time(tmp_path: Path) -> None:
     """An executor that runs faster does not take the joints of a driver in real time for its robot's."""
     with (
-        pytest.raises(AssertionError, match="only a simulated robot with the same speed can be moved"),
+        pytest.raises(AssertionError, match="it moves only a simulated robot that runs as fast"),
         cell_of(tmp_path, "ur5e", speed={"executor": "4"}) as cell,
     ):
         cell.robot.execute(cell.robot.plan((0.5, -1.57, 1.57, -1.57, -1.57, 0.0)))

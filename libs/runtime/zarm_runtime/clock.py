@@ -24,16 +24,17 @@ speed = 1.0
 
 
 def read_speed() -> None:
-    """Take the speed from `ZARM_SPEED`, if that is set. Raises InvalidRequest for another value than 1 to `MAX_SPEED`."""
+    """Take the speed from `ZARM_SIM_SPEED`, if that is set. Raises InvalidRequest for another value than 1 to `MAX_SPEED`."""
     global speed
-    text = os.environ.get("ZARM_SPEED") or "1"
+    text = os.environ.get("ZARM_SIM_SPEED") or "1"
     try:
         value = float(text)
     except ValueError:
         value = 0.0
     if not 1.0 <= value <= MAX_SPEED:
         raise InvalidRequest(
-            f"{text} is no speed of a simulation; give a number from 1 (real time) to {MAX_SPEED:g}", field="ZARM_SPEED"
+            f"{text} is no speed of a simulation; give a number from 1 (real time) to {MAX_SPEED:g}",
+            field="ZARM_SIM_SPEED",
         )
     speed = value
 

@@ -53,7 +53,7 @@ SETTINGS = (
         "ZARM_METRICS", "off", "The `host:port` at which Prometheus reads the metrics of the service.", "--metrics"
     ),
     Setting(
-        "ZARM_SPEED",
+        "ZARM_SIM_SPEED",
         "1",
         "How many times as fast as real time a simulated robot and all programs around it run, 1 to 20.",
         "--speed",

@@ -158,7 +158,7 @@ def launch(
     if view is not None:
         page = ["--robot", f"{keys.robot}={find_robot(robot)}", "--connect", endpoint, "--listen", view, *folders]
         programs["viewer"] = (VIEWER, [*page, "--state", str(state)])
-    environment = {"ZARM_SPEED": f"{speed:g}"}
+    environment = {"ZARM_SIM_SPEED": f"{speed:g}"}
     environment["ZARM_METRICS"] = ""  # an address can be used only once
     if ros and not any(map(os.environ.get, REACH)):
         environment[RANGE] = "LOCALHOST"  # anyone who reaches DDS can move the robot
@@ -298,7 +298,7 @@ def up(
     speed: Annotated[
         float,
         typer.Option(
-            envvar="ZARM_SPEED",
+            envvar="ZARM_SIM_SPEED",
             min=1.0,
             max=MAX_SPEED,
             metavar="N",
@@ -389,7 +389,10 @@ def _say_ready(stack: Stack, *, joined: bool, speed: float) -> None:
                 []
                 if speed == 1.0
                 else [
-                    ("speed", f"{speed:g} times real time; programs that stream or publish need ZARM_SPEED={speed:g}")
+                    (
+                        "speed",
+                        f"{speed:g} times real time; programs that stream or publish need ZARM_SIM_SPEED={speed:g}",
+                    )
                 ]
             ),
         )

@@ -48,7 +48,7 @@ def start(service: Service) -> Iterator[None]:
     generation = installed()
     service.note = str(generation)
     if clock.speed != 1.0:
-        raise InvalidRequest("ROS 2 runs in real time; start the bridge without ZARM_SPEED", field="ZARM_SPEED")
+        raise InvalidRequest("ROS 2 runs in real time; start the bridge without ZARM_SIM_SPEED", field="ZARM_SIM_SPEED")
     with (
         Ros(NODE, namespace, workers=WORKERS, parameters=True) as ros,
         Ros(f"_{NODE}_v1", namespace, workers=2) as first,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import zarm
-from support.harness import eventually
+from support.harness import PATIENCE, eventually
 from support.led_cell import ARMS, LedCell
 from zarm_contract.errors import Unavailable
 
@@ -119,6 +119,12 @@ def test_nothing_moves_if_one_arm_could_not_follow(cell: LedCell) -> None:
         cell.whole.execute(plan)
     cell.clients["right_arm"].speed(1.0)
     assert cell.whole.joint_state().position == pytest.approx(cell.robot.descriptor.home, abs=ON_PATH)
+
+
+def test_arms_in_real_time_are_not_led_faster(cell: LedCell) -> None:
+    with cell.faster_leader() as leader:
+        assert leader.process.wait(PATIENCE) != 0
+        assert "left (the robot left_arm) runs in real time, and this executor faster" in leader.output()
 
 
 def test_an_arm_that_is_not_led_moves_alone_and_is_waited_for(cell: LedCell) -> None:

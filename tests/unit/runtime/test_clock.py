@@ -15,11 +15,11 @@ AWAY = 0.01
 
 @pytest.fixture
 def at_speed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """`ZARM_SPEED` is 4, and not afterwards."""
-    monkeypatch.setenv("ZARM_SPEED", "4")
+    """`ZARM_SIM_SPEED` is 4, and not afterwards."""
+    monkeypatch.setenv("ZARM_SIM_SPEED", "4")
     clock.read_speed()
     yield
-    monkeypatch.delenv("ZARM_SPEED")
+    monkeypatch.delenv("ZARM_SIM_SPEED")
     clock.read_speed()
 
 
@@ -57,8 +57,8 @@ def test_everything_that_tells_the_time_is_as_fast() -> None:
 
 @pytest.mark.parametrize("speed", ["0.5", "21", "fast", "nan"])
 def test_a_speed_that_cannot_be_is_refused(speed: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ZARM_SPEED", speed)
+    monkeypatch.setenv("ZARM_SIM_SPEED", speed)
     with pytest.raises(InvalidRequest, match=f"{speed} is no speed of a simulation") as refused:
         clock.read_speed()
-    assert refused.value.problem.field == "ZARM_SPEED"
+    assert refused.value.problem.field == "ZARM_SIM_SPEED"
     assert clock.speed == 1.0

@@ -12,7 +12,7 @@ from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand
 from zarm_contract.robot import RobotDescription
 from zarm_executor.strategies.base import Measured
-from zarm_executor.strategies.robot_link import RobotLink
+from zarm_executor.strategies.robot_link import RobotLink, on_another_clock, runs_slower
 from zarm_runtime import clock
 from zarm_runtime.bus import Bus
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -55,7 +55,7 @@ class DriverLink(RobotLink):
         self._measured: Measured | None = None
         self._stamp: float | None = None
         self._held_up_since: float | None = None
-        self._another_clock = False
+        self._other_clock = False
         self._orders: dict[tuple[str, ...], list[int] | None] = {}
 
     # -- to the driver --
@@ -108,14 +108,15 @@ class DriverLink(RobotLink):
         """The newest readable joints, in the executor's order; None before the first.
 
         A message with the stamp of the previous one is a repetition, not a measurement: a driver that repeats itself
-        counts as silent. Stamps are compared with each other; with a clock only to tell a simulated driver, whose clock is as fast as this one.
+        counts as silent. Stamps are compared with each other, and with this clock only where that is faster than real time.
         """
         received = self._states.received()
         if received is None or (self._measured is not None and received[1] == self._measured.time):
             return self._measured
         state, at = received
         order = self._order(state.joint_names)
-        if order is None or self._is_of_another_clock(state.stamp, at):
+        self._other_clock = order is not None and on_another_clock(state.stamp, at)
+        if order is None or self._other_clock:
             return self._measured
         if state.stamp != self._stamp and not self._held_up(state.stamp, at):
             self._stamp = state.stamp
@@ -127,11 +128,6 @@ class DriverLink(RobotLink):
             self._measured = Measured(position, velocity, at, state.stamp, effort)
             self._note(self._measured)
         return self._measured
-
-    def _is_of_another_clock(self, stamp: float, at: float) -> bool:
-        """Whether joints received `at` come from a robot that must not be moved because the clock of this process is faster than its."""
-        self._another_clock = clock.speed != 1.0 and abs(stamp - clock.unix_time_of(at)) > _CLOCK_PATIENCE * clock.speed
-        return self._another_clock
 
     def _held_up(self, stamp: float, at: float) -> bool:
         """Whether joints received `at` are old: after a silence, messages that were held up arrive first.
@@ -168,11 +164,8 @@ class DriverLink(RobotLink):
     def obstacle(self) -> str | None:
         """Why the robot cannot be moved through this driver now; None if it can."""
         measured = self.measured()
-        if self._another_clock:
-            return (
-                f"the executor runs {clock.speed:g} times as fast as real time (ZARM_SPEED), and the driver does not: only a simulated "
-                "robot with the same speed can be moved"
-            )
+        if self._other_clock:
+            return runs_slower("the driver")
         if measured is None:
             return f"no driver publishes the robot's joints on {self._key}; start the robot's driver"
         age, limit = clock.monotonic() - measured.time, self.execution.joint_state_timeout

@@ -12,7 +12,7 @@ from zarm_contract.descriptor import CommandTiming, RobotDescriptor
 from zarm_contract.keys import Keys
 from zarm_contract.messages import ExecutorState, GoalState, StreamChunk
 from zarm_executor.strategies.base import Measured
-from zarm_executor.strategies.robot_link import RobotLink
+from zarm_executor.strategies.robot_link import RobotLink, on_another_clock, runs_slower
 from zarm_runtime import clock
 from zarm_runtime.bus import Bus
 from zarm_trajectory.arrays import Array
@@ -41,6 +41,7 @@ class _Member:
         self._lock = threading.Lock()
         self._state: ExecutorState | None = None
         self._goal: GoalState | None = None
+        self._other_clock = False
         bus.watch(keys.executor_state, self._on_state)
         bus.watch(keys.goal("*"), self._on_goal)
 
@@ -54,6 +55,9 @@ class _Member:
         if received is None or sorted(received[0].joint_names) != sorted(self.joints):
             return None
         state, at = received
+        self._other_clock = on_another_clock(state.stamp, at)
+        if self._other_clock:
+            return None
         order = [state.joint_names.index(joint) for joint in self.joints]
         position, velocity = np.array((state.position, state.velocity))[:, order]
         effort = None if state.effort is None else np.array(state.effort)[order]
@@ -70,6 +74,9 @@ class _Member:
             state, goal = self._state, self._goal
         if state is None:
             return f"no executor answers for {self.called}; start it with `zarm up --name {self.name}`"
+        self.measured()
+        if self._other_clock:
+            return runs_slower(self.called)
         if state.mode == "fault":
             reason = "" if state.problem is None else f": {state.problem.message}"
             return f"{self.called} is in fault{reason}; reset it"

@@ -3,8 +3,8 @@
 velocity = planned + gain * (planned position - measured position), then clamped. The robot integrates velocities, so the error e obeys
 de/dt = -gain * e: it decays at that rate instead of adding up, slowly enough for the loop's dead time (`strategy_params.gain` has the bound).
 
-The planned position is the nearest one of those commanded within twice the `delay`, at least `LONGEST_DELAY`, before the joints were measured: a
-robot that reacts sooner or later than the descriptor says is late on its path, and is not drawn off it. At the end it is the end.
+The planned position is the nearest one of those commanded shortly before the joints were measured. So a driver that reacts sooner or later than its
+`delay` makes the robot early or late on its path, and does not draw it off the path. At the end of the path it is the end.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from zarm_trajectory.arrays import Array
 from zarm_trajectory.retimed import RetimedTrajectory
 from zarm_trajectory.trajectory import TimedTrajectory
 
-LONGEST_DELAY = 0.12
-"""A delay (s) that a driver may have, whatever the descriptor says."""
+_MIN_WINDOW = 0.12
+"""The planned position is one commanded within this time (s), or within twice the `delay`, before the joints were measured."""
 ARRIVED = 0.002
 """At the end of a path, the robot is corrected until every joint is this close to it (rad); 0.005 is promised."""
 
@@ -95,8 +95,8 @@ class JointSpeed(Streaming):
         if (follower := self._follower) is not None and follower.finished and self._caught_up():
             planned = follower.position
         else:
-            delay = max(2.0 * self._delay, LONGEST_DELAY)
-            planned = self._reference.nearest(measured.position, measured.time - delay, measured.time)
+            window = max(2.0 * self._delay, _MIN_WINDOW)
+            planned = self._reference.nearest(measured.position, measured.time - window, measured.time)
         error: Array = planned - measured.position
         return error if np.all(np.abs(error) <= execution.path_tolerance) else None
 

@@ -12,7 +12,7 @@ from zarm_trajectory.arrays import Array
 from zarm_trajectory.follower import Follower
 
 _SMALL = 1e-18
-"""The square of a way (rad²) that is none."""
+"""A square (rad²) that counts as 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +40,11 @@ class Reference:
             self._past.popleft()
 
     def nearest(self, position: Array, first: float, last: float) -> Array:
-        """The commanded position (J,) about from the moment `first` to `last` that is nearest to `position` (J,)."""
-        ways = np.array([one.position for one in self._past if first <= one.now <= last])
-        if len(ways) < 2:
+        """The position (J,) nearest to `position` (J,) on the way commanded from the moment `first` to `last`, to a tick."""
+        commanded = np.array([one.position for one in self._past if first <= one.now <= last])
+        if len(commanded) < 2:
             return self.at(last).position
-        steps, away = ways[1:] - ways[:-1], position - ways[:-1]
+        steps, away = np.diff(commanded, axis=0), position - commanded[:-1]
         squares = np.einsum("ij,ij->i", steps, steps)
         share = np.einsum("ij,ij->i", away, steps) / np.maximum(squares, _SMALL)
         away -= steps * np.minimum(np.maximum(share, 0.0), 1.0)[:, None]

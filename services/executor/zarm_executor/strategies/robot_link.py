@@ -17,6 +17,22 @@ _REST_TIME = 0.1
 """A robot stands if it has not moved by more than the first (rad) for the second (s): 0.005 rad/s."""
 
 
+_CLOCK_TOLERANCE = 1.0
+"""Largest difference (s, real time) between the stamp of joint states and the time of their arrival, in a simulation that is faster than real time."""
+
+
+def on_another_clock(stamp: float, at: float) -> bool:
+    """Whether joint states with this stamp (Unix s) that arrived `at` (s, monotonic) are of a robot that runs slower than this process, so that it must
+    not be moved: a real one is, and its stamps are far in the past of a faster clock.
+    """
+    return clock.speed != 1.0 and abs(stamp - clock.unix_time_of(at)) > _CLOCK_TOLERANCE * clock.speed
+
+
+def runs_slower(who: str) -> str:
+    """Why `who`, whose joint states are `on_another_clock`, is not moved."""
+    return f"{who} runs in real time, and this executor faster (ZARM_SIM_SPEED): it moves only a simulated robot that runs as fast"
+
+
 class RobotLink(ABC):
     """The robot of a descriptor, which commands reach with this `timing`. `joints` are in the executor's order."""
 
