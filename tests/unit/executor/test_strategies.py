@@ -19,7 +19,7 @@ from zarm_contract.errors import Unavailable
 from zarm_contract.messages import Authority, Trajectory
 from zarm_contract.strategies import DRIVER_STRATEGIES
 from zarm_executor.machine import STALL_LIMIT
-from zarm_executor.strategies.joint_speed import JointSpeed
+from zarm_executor.strategies.joint_speed import ARRIVED, JointSpeed
 from zarm_trajectory.trajectory import TimedTrajectory
 
 at_every_rate = pytest.mark.parametrize("rate", sampled(100.0, 130.0, 250.0, 500.0))
@@ -477,6 +477,17 @@ def test_a_driver_with_another_delay_stays_on_its_path(delay: float, tmp_path: F
     assert bench.last().status == "succeeded"
     assert max(distance_from(path, position) for position in bench.positions) < 0.004
     np.testing.assert_allclose(bench.positions[-1], path.end, atol=0.005)
+
+
+def test_a_robot_short_of_the_end_is_led_to_it(tmp_path: Folder) -> None:
+    """Although it is where it was commanded shortly before."""
+    bench = DriverBench(Case("joint_speed", params=(("delay", 0.2),)), tmp_path)
+    path = bench.execute()
+    bench.run(path.duration + 0.1)
+    way = path.end - path.start
+    bench.arm.displace(-0.004 * way / np.abs(way).max())
+    bench.until("idle")
+    np.testing.assert_allclose(bench.positions[-1], path.end, atol=ARRIVED)
 
 
 def test_a_new_strategy_is_a_module_and_a_line_in_the_list(tmp_path: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
